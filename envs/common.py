@@ -1,0 +1,111 @@
+"""What the model's and the simulator's environments share: spaces, observations, checks and the rules of an episode."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from gymnasium import spaces
+from torch import Tensor
+
+from pwm_gym.costs import Cost, cost_info, get_cost, get_grasp, get_success
+from pwm_gym.errors import PwmGymError
+from pwm_gym.scene import Layout, State
+from pwm_gym.tasks import Task
+
+__all__ = ["BOUND", "Judgement", "Rules", "check_actions", "observation_space", "observe", "outside"]
+
+BOUND = 2.0
+"""Metres from the base beyond which a prediction has left the world."""
+_SPEED = 1.0  # metres a step: bound of velocities
+
+
+def observation_space(layout: Layout, goal_size: int) -> spaces.Dict:
+    """Dict of points, velocity and previous_velocity (N, 3) and goal (G,), float32, finite bounds."""
+    shape = (layout.points, 3)
+    return spaces.Dict(
+        {
+            "points": spaces.Box(-BOUND, BOUND, shape, np.float32),
+            "velocity": spaces.Box(-_SPEED, _SPEED, shape, np.float32),
+            "previous_velocity": spaces.Box(-_SPEED, _SPEED, shape, np.float32),
+            "goal": spaces.Box(-BOUND, BOUND, (goal_size,), np.float32),
+        }
+    )
+
+
+def observe(state: State, goal: Tensor) -> dict[str, Tensor]:
+    """Observations (B, ...) of a state (B,), clipped to the observation space; fresh tensors."""
+    return {
+        "points": state.points().clamp(-BOUND, BOUND),
+        "velocity": state.velocity().clamp(-_SPEED, _SPEED),
+        "previous_velocity": state.previous_velocity().clamp(-_SPEED, _SPEED),
+        "goal": goal.clamp(-BOUND, BOUND),
+    }
+
+
+def outside(state: State) -> Tensor:
+    """Bool (B,): some frame is not finite, or an entity is out of bounds."""
+    frames = state.frames.flatten(1)
+    finite = torch.isfinite(frames).all(1)
+    far = state.poses()[..., :3, 3].abs().flatten(1).amax(1) > BOUND
+    return ~finite | far
+
+
+def check_actions(actions: Any, shape: tuple[int, ...]) -> Tensor:
+    """Actions as a float32 tensor.
+
+    Raises:
+        PwmGymError: wrong shape or dtype, NaN, or a value outside [-1, 1].
+    """
+    value = actions if isinstance(actions, Tensor) else np.asarray(actions)
+    floating = value.is_floating_point() if isinstance(value, Tensor) else np.issubdtype(value.dtype, np.floating)
+    if not floating:
+        raise PwmGymError(f"actions have dtype {value.dtype}; expected floating point")
+    if tuple(value.shape) != shape:
+        raise PwmGymError(f"actions have shape {tuple(value.shape)}; expected {shape}")
+    tensor = torch.as_tensor(value, dtype=torch.float32)
+    if not torch.isfinite(tensor).all():
+        raise PwmGymError(f"actions hold {int((~torch.isfinite(tensor)).sum())} values that are not finite")
+    if tensor.numel() and float(tensor.abs().max()) > 1.0 + 1e-6:
+        worst = tensor.flatten()[tensor.abs().argmax()]
+        raise PwmGymError(f"actions hold {float(worst):.4g}; expected values in [-1, 1]")
+    return tensor
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """What a cost and the rules say of states (B,)."""
+
+    reward: Tensor
+    """Minus the cost (B,)."""
+    terms: dict[str, Tensor]
+    """The cost's weighted terms, each (B,)."""
+    success: Tensor
+    """Bool (B,)."""
+    grasped: Tensor
+    """Bool (B,)."""
+
+
+class Rules:
+    """Reward, success and grasp of a task, by registered functions.
+
+    Args:
+        task: gives the defaults.
+        cost: a registered name or a callable; changing it leaves the success rule alone.
+        grasp: a registered grasp rule.
+    """
+
+    def __init__(self, task: Task, cost: str | Callable[..., Tensor] | None, grasp: str | None) -> None:
+        self.cost: Cost = get_cost(task.cost if cost is None else cost)
+        self.grasp = get_grasp(task.grasp if grasp is None else grasp)
+        self.success = get_success(task.success)
+
+    def judge(self, state: State, action: Tensor, goal: Tensor) -> Judgement:
+        """Judge states (B,) that actions (B, A) led to, for goals (B, G)."""
+        points, info = cost_info(state, action, goal, self.grasp)
+        terms = self.cost.evaluate(points, info)
+        reward = -torch.stack(list(terms.values())).sum(0)
+        return Judgement(reward, terms, self.success(points, info), info["grasped"])

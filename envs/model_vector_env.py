@@ -1,0 +1,310 @@
+"""The learned world model as a native Gymnasium vector environment."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import torch
+from gymnasium.utils import EzPickle
+from gymnasium.vector import AutoresetMode
+from gymnasium.vector.utils import batch_space
+from torch import Tensor
+
+from pwm_gym.dynamics.checkpoint import load_checkpoint, resolve, use_device
+from pwm_gym.envs.common import Judgement, Rules, check_actions, observation_space, observe, outside
+from pwm_gym.envs.rendering import SceneRenderer
+from pwm_gym.errors import PwmGymError, unknown_name
+from pwm_gym.scene import Entity, Scene, State, batch_state
+from pwm_gym.scene.se3 import pose7_from_matrix
+from pwm_gym.tasks import get_task
+
+__all__ = ["ModelVectorEnv"]
+
+_OPTIONS = ("scene", "reset_mask")
+
+
+class ModelVectorEnv(EzPickle, gym.vector.VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarray]):
+    """``num_envs`` scenes in one tensor batch; a step is one forward pass of the world model.
+
+    Observations, rewards and infos are those of :class:`pwm_gym.envs.ModelEnv` with a leading ``num_envs``.
+
+    Args:
+        task: registered task.
+        num_envs: B.
+        checkpoint: a folder, the name of a shipped checkpoint, or "default" for the task's own.
+        cost: a registered cost or a callable ``(points, info) -> (B,)``; None takes the task's.
+        grasp: a registered grasp rule; None takes the task's.
+        device: PyTorch device of the model.
+        points: points of a scene in all; None takes the task's count.
+        max_episode_steps: truncates longer episodes; None never does.
+        render_mode: None or "rgb_array".
+        autoreset_mode: Gymnasium's ``AutoresetMode`` (or its value); NEXT_STEP by default.
+        tensors: whether observations and rewards are torch tensors on ``device`` instead of NumPy arrays.
+
+    Raises:
+        UnknownNameError, CheckpointError, PwmGymError: arguments that do not fit, each naming the value.
+
+    Version history:
+        v0: initial release.
+    """
+
+    metadata: dict[str, Any] = {  # noqa: RUF012  (Gymnasium's own type)
+        "render_modes": ["rgb_array"],
+        "render_fps": 20,
+        "autoreset_mode": AutoresetMode.NEXT_STEP,
+    }
+
+    def __init__(
+        self,
+        task: str = "PickCube",
+        num_envs: int = 1,
+        checkpoint: str = "default",
+        cost: str | Callable[..., Tensor] | None = None,
+        grasp: str | None = None,
+        device: str = "cpu",
+        points: int | None = None,
+        max_episode_steps: int | None = None,
+        render_mode: str | None = None,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        tensors: bool = False,
+    ) -> None:
+        EzPickle.__init__(
+            self,
+            task,
+            num_envs,
+            checkpoint,
+            cost,
+            grasp,
+            device,
+            points,
+            max_episode_steps,
+            render_mode,
+            autoreset_mode,
+            tensors,
+        )
+        if num_envs < 1:
+            raise PwmGymError(f"num_envs={num_envs}; expected at least 1")
+        if render_mode not in (None, *self.metadata["render_modes"]):
+            raise unknown_name("render mode", str(render_mode), self.metadata["render_modes"])
+        self.task, self.num_envs, self.render_mode = get_task(task), num_envs, render_mode
+        self.device, self.max_episode_steps, self._tensors = use_device(device), max_episode_steps, tensors
+        self.autoreset_mode = AutoresetMode(autoreset_mode)
+        self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
+        self.checkpoint = load_checkpoint(resolve(checkpoint, task), task, device)
+        self.model = self.checkpoint.model
+        self.layout = self.task.layout if points is None else self.task.layout.resize(points)
+        self.rules = Rules(self.task, cost, grasp)
+        self.single_action_space = gym.spaces.Box(-1.0, 1.0, (self.task.action_size,), np.float32)
+        self.single_observation_space = observation_space(self.layout, self.task.goal_size)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self._generators = [torch.Generator() for _ in range(num_envs)]
+        for generator in self._generators:
+            generator.seed()
+        self._state: State | None = None
+        self._goal = torch.zeros(num_envs, self.task.goal_size, device=self.device)
+        self._action = torch.zeros(num_envs, self.task.action_size, device=self.device)
+        self._elapsed = np.zeros(num_envs, np.int64)
+        self._done = np.zeros(num_envs, bool)
+        self._renderer: SceneRenderer | None = None
+
+    @property
+    def entities(self) -> tuple[Entity, ...]:
+        """Entities and their slices of the points."""
+        return self.layout.entities
+
+    @property
+    def state(self) -> State:
+        """The present state (B,)."""
+        if self._state is None:
+            raise PwmGymError("the environment has no state yet; call reset() first")
+        return self._state
+
+    @property
+    def goal(self) -> Tensor:
+        """Goals (B, G)."""
+        return self._goal
+
+    def scene(self, index: int = 0) -> Scene:
+        """The present scene of one environment, velocities included: what ``reset(options={"scene": ...})`` takes."""
+        frames = self.state.history()[index].double().cpu()  # (3, E, 4, 4)
+        return Scene(
+            task=self.task.name,
+            layout=self.layout,
+            clouds=self.state.clouds[index].cpu().numpy().copy(),
+            poses=pose7_from_matrix(frames).numpy(),
+            goal=self._goal[index].cpu().numpy().copy(),
+            last_action=self._action[index].cpu().numpy().copy(),
+        )
+
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: dict[str, Any] | None = None,
+    ) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Start episodes from the checkpoint's bank, or from ``options["scene"]`` (one scene, or one each).
+
+        Args:
+            seed: an integer means seed + i for environment i; a list gives each its own.
+            options: "scene", and with autoreset disabled "reset_mask" (num_envs,) bool.
+        """
+        options = dict(options or {})
+        for key in options:
+            if key not in _OPTIONS:
+                raise unknown_name("reset option", key, _OPTIONS)
+        self._seed(seed)
+        mask = self._reset_mask(options.get("reset_mask"))
+        self._restart(mask, self._scenes(options.get("scene"), mask))
+        judgement = self.rules.judge(self.state, self._action, self._goal)
+        return self._out(observe(self.state, self._goal)), self._info(judgement, [""] * self.num_envs)
+
+    def _seed(self, seed: int | Sequence[int | None] | None) -> None:
+        if seed is None:
+            return
+        seeds = [seed + i for i in range(self.num_envs)] if isinstance(seed, int | np.integer) else list(seed)
+        if len(seeds) != self.num_envs:
+            raise PwmGymError(f"{len(seeds)} seeds for {self.num_envs} environments")
+        for generator, value in zip(self._generators, seeds, strict=True):
+            if value is not None:
+                generator.manual_seed(int(value))
+
+    def _reset_mask(self, mask: Any) -> np.ndarray:
+        if mask is None:
+            return np.ones(self.num_envs, bool)
+        if not isinstance(mask, np.ndarray) or mask.dtype != np.bool_ or mask.shape != (self.num_envs,):
+            found = f"{mask.dtype} {mask.shape}" if isinstance(mask, np.ndarray) else type(mask).__name__
+            raise PwmGymError(f"reset_mask is {found}; expected a boolean array ({self.num_envs},)")
+        if not mask.any():
+            raise PwmGymError("reset_mask selects no environment")
+        if self._state is None and not mask.all():
+            raise PwmGymError("the first reset must reset every environment; reset_mask leaves some out")
+        return mask
+
+    def _scenes(self, scene: Scene | Sequence[Scene] | None, mask: np.ndarray) -> list[Scene]:
+        """One scene for each environment of ``mask``."""
+        chosen = np.flatnonzero(mask)
+        if scene is None:
+            bank = self.checkpoint.bank
+            draws = [int(torch.randint(len(bank), (), generator=self._generators[i])) for i in chosen]
+            return [bank.scene(k).coarsen(self.layout) for k in draws]
+        scenes = [scene] * len(chosen) if isinstance(scene, Scene) else list(scene)
+        if len(scenes) != len(chosen):
+            raise PwmGymError(f"{len(scenes)} scenes for {len(chosen)} environments to reset")
+        for item in scenes:
+            if not isinstance(item, Scene):
+                raise PwmGymError(f"scene is a {type(item).__name__}; expected pwm_gym.Scene")
+        fits = [s.validate(self.task.name, self.layout, self.task.goal_size) for s in scenes]
+        return [s.coarsen(self.layout) for s in fits]
+
+    def _restart(self, mask: np.ndarray, scenes: list[Scene]) -> None:
+        """Put ``scenes`` where ``mask`` is set."""
+        fresh = self.model.prepare(batch_state(scenes, self.device))
+        goals = torch.as_tensor(np.stack([s.goal for s in scenes]), dtype=torch.float32, device=self.device)
+        actions = np.stack([_last_action(s, self.task.action_size) for s in scenes])
+        index = torch.as_tensor(np.flatnonzero(mask), device=self.device)
+        if self._state is None:
+            self._state = fresh
+        else:
+            pairs = iter((fresh.clouds, fresh.frames))
+            self._state = self._state.map(lambda old: old.index_copy(0, index, next(pairs)))
+        self._goal = self._goal.index_copy(0, index, goals)
+        self._action = self._action.index_copy(0, index, torch.as_tensor(actions, device=self.device))
+        self._elapsed[mask] = 0
+        self._done[mask] = False
+
+    @torch.no_grad()
+    def step(
+        self, actions: np.ndarray | Tensor
+    ) -> tuple[dict[str, Any], Any, np.ndarray, np.ndarray, dict[str, Any]]:
+        """One control step of every environment under actions (num_envs, A) in [-1, 1]."""
+        action = check_actions(actions, self.action_space.shape or ()).to(self.device)
+        if self.autoreset_mode is AutoresetMode.DISABLED and self._done.any():
+            raise PwmGymError("some environments are done; reset them with options={'reset_mask': ...} first")
+        restarted = self._done.copy()
+        self._state = self.model.step(self.state, action)
+        self._action = action
+        self._elapsed += 1
+        escaped = outside(self._state)
+        if escaped.any():
+            self._freeze(escaped)
+        if restarted.any():
+            self._restart(restarted, self._scenes(None, restarted))
+        judgement = self.rules.judge(self._state, self._action, self._goal)
+        return self._finish(judgement, escaped.cpu().numpy() & ~restarted, restarted)
+
+    def _freeze(self, escaped: Tensor) -> None:
+        """Where a prediction left the bounds, keep finite values so that the returned ones can be clipped."""
+        assert self._state is not None
+        self._state = self._state.map(lambda x: torch.nan_to_num(x, 0.0, 1e3, -1e3))
+
+    def _finish(self, judgement: Judgement, escaped: np.ndarray, restarted: np.ndarray) -> tuple[Any, ...]:
+        """Ends, infos and, with SAME_STEP, the restarts of the step just made."""
+        late = np.zeros(self.num_envs, bool)
+        if self.max_episode_steps is not None:
+            late = (self._elapsed >= self.max_episode_steps) & ~restarted
+        terminated = judgement.success.cpu().numpy() & ~restarted & ~escaped
+        truncated = escaped | late
+        reasons = ["left the bounds" if e else "time limit" if t else "" for e, t in zip(escaped, late, strict=True)]
+        reward = judgement.reward.masked_fill(torch.as_tensor(restarted, device=self.device), 0.0)
+        observation, info = self._out(observe(self.state, self._goal)), self._info(judgement, reasons)
+        self._done = terminated | truncated
+        if self.autoreset_mode is AutoresetMode.SAME_STEP and self._done.any():
+            observation, info = self._restart_now(observation, info)
+        return observation, self._out(reward), terminated, truncated, info
+
+    def _restart_now(self, observation: dict[str, Any], info: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
+        """SAME_STEP: the finished environments' first observations, their last ones in ``final_obs``."""
+        done = self._done.copy()
+        final = {"final_obs": observation, "_final_obs": done, "final_info": info, "_final_info": done}
+        self._restart(done, self._scenes(None, done))
+        judgement = self.rules.judge(self.state, self._action, self._goal)
+        fresh = self._info(judgement, [""] * self.num_envs)
+        return self._out(observe(self.state, self._goal)), {**fresh, **final}
+
+    def _out(self, value: Any) -> Any:
+        """Fresh arrays (or tensors) for the caller."""
+        if isinstance(value, dict):
+            return {k: self._out(v) for k, v in value.items()}
+        return value if self._tensors else value.cpu().numpy().copy()
+
+    def _info(self, judgement: Judgement, reasons: list[str]) -> dict[str, Any]:
+        """Gymnasium's vector infos: arrays (num_envs,), each with its mask ``_key``."""
+        every = np.ones(self.num_envs, bool)
+
+        def arrays(values: dict[str, Any]) -> dict[str, Any]:
+            out = {k: v.cpu().numpy().copy() if isinstance(v, Tensor) else v for k, v in values.items()}
+            return {**out, **{f"_{k}": every.copy() for k in values}}
+
+        return arrays(
+            {
+                "success": judgement.success,
+                "grasped": judgement.grasped,
+                "cost_terms": arrays(judgement.terms),
+                "reason": np.array(reasons, dtype=object),
+            }
+        )
+
+    def render(self) -> tuple[np.ndarray, ...] | None:
+        """A picture (H, W, 3) uint8 of each environment, with ``render_mode="rgb_array"``."""
+        if self.render_mode is None:
+            return None
+        if self._renderer is None:
+            self._renderer = SceneRenderer(self.layout, "predicted")
+        points, goals = self.state.points().cpu().numpy(), self._goal.cpu().numpy()
+        return tuple(self._renderer(p, g) for p, g in zip(points, goals, strict=True))
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Nothing to free."""
+
+
+def _last_action(scene: Scene, size: int) -> np.ndarray:
+    """The action that led to a scene; at rest with an open gripper where it does not say."""
+    if scene.last_action is not None:
+        return np.asarray(scene.last_action, np.float32)
+    rest = np.zeros(size, np.float32)
+    rest[-1] = 1.0
+    return rest

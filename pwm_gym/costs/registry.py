@@ -1,0 +1,210 @@
+"""Registries of cost functions, success rules and grasp rules on point clouds.
+
+All three read ``(points, info)``: ``points[name]`` are an entity's world-frame points (B, n, 3) in metres, and ``info``
+holds ``goal`` (B, G), ``action`` (B, A), ``grasped`` (B,), ``velocity[name]`` (B, n, 3) in metres a step, and
+``extra`` with ``goal_pos`` (B, G).
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Any, TypeVar
+
+import torch
+from torch import Tensor
+
+from pwm_gym.errors import PwmGymError, unknown_name
+from pwm_gym.scene import EntityPoints, State
+
+__all__ = [
+    "COSTS",
+    "GRASPS",
+    "SUCCESSES",
+    "Cost",
+    "Points",
+    "cost_info",
+    "get_cost",
+    "get_grasp",
+    "get_success",
+    "register_cost",
+    "register_grasp",
+    "register_success",
+    "register_terms",
+]
+
+Points = Mapping[str, Tensor]
+Info = Mapping[str, Any]
+Function = Callable[..., Tensor]
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+@dataclass(frozen=True)
+class Cost:
+    """A checked cost: a weighted sum of named terms (a plain function is one term of its own name)."""
+
+    name: str
+    terms: Mapping[str, tuple[float, Function]]
+    """Term -> weight and function."""
+
+    def __call__(self, points: Points, info: Info) -> Tensor:
+        """Cost (B,); errors as in :meth:`evaluate`."""
+        return torch.stack(list(self.evaluate(points, info).values())).sum(0)
+
+    def evaluate(self, points: Points, info: Info) -> dict[str, Tensor]:
+        """Weighted terms by name, each (B,); their sum is the cost.
+
+        Raises:
+            PwmGymError: an entity that the scene lacks, a wrong shape, or values that are not finite.
+        """
+        return {n: w * self._checked(n, f, points, info) for n, (w, f) in self.terms.items()}
+
+    def _checked(self, name: str, function: Function, points: Points, info: Info) -> Tensor:
+        batch = len(info["action"])
+        try:
+            value = function(points, info)
+        except KeyError as error:
+            raise PwmGymError(f"cost {self.name!r}: {error.args[0]}") from error
+        if not isinstance(value, Tensor) or value.shape != (batch,):
+            shape = tuple(value.shape) if isinstance(value, Tensor) else type(value).__name__
+            raise PwmGymError(f"cost {self.name!r} ({name}) returned {shape}; expected a tensor ({batch},)")
+        if not torch.isfinite(value).all():
+            count = int((~torch.isfinite(value)).sum())
+            raise PwmGymError(f"cost {self.name!r} ({name}) returned {count} of {batch} values not finite")
+        return value
+
+
+COSTS: dict[str, Cost] = {}
+"""Name -> cost."""
+SUCCESSES: dict[str, Function] = {}
+"""Name -> success rule, (points, info) -> bool (B,)."""
+GRASPS: dict[str, Function] = {}
+"""Name -> grasp rule, (points, info) -> bool (B,)."""
+
+
+def register_cost(name: str, batched: bool = True) -> Callable[[F], F]:
+    """Decorator that registers a cost function under ``name``.
+
+    Args:
+        name: what ``gym.make(..., cost=name)`` takes.
+        batched: whether the function maps a batch to (B,). Otherwise it is called for each element with points (n, 3)
+            and returns a scalar; it may take a first argument ``cfg`` with ``cfg.device``, as the paper's listing does.
+
+    Raises:
+        ValueError: the name is taken.
+
+    Example:
+        >>> @register_cost("lift_doctest")
+        ... def lift(points, info):
+        ...     return -points["cube"].mean(-2)[..., 2]
+    """
+
+    def register(function: F) -> F:
+        register_terms(name, {name: (1.0, function if batched else _each(function))})
+        return function
+
+    return register
+
+
+def register_terms(name: str, terms: Mapping[str, tuple[float, Function]]) -> Cost:
+    """Register a cost that is a weighted sum of named terms, each of which is logged in ``info["cost_terms"]``.
+
+    Raises:
+        ValueError: the name is taken.
+    """
+    if name in COSTS:
+        raise ValueError(f"cost {name!r} is registered already")
+    COSTS[name] = Cost(name, dict(terms))
+    return COSTS[name]
+
+
+def get_cost(cost: str | Function | Cost) -> Cost:
+    """The cost called ``cost``, or a checked cost of a callable.
+
+    Raises:
+        UnknownNameError: listing the known costs and the nearest one.
+    """
+    if isinstance(cost, Cost):
+        return cost
+    if callable(cost):
+        name = getattr(cost, "__name__", "cost")
+        return Cost(name, {name: (1.0, cost)})
+    if cost not in COSTS:
+        raise unknown_name("cost", cost, COSTS)
+    return COSTS[cost]
+
+
+def register_success(name: str) -> Callable[[F], F]:
+    """Decorator that registers a success rule."""
+    return _register(SUCCESSES, "success rule", name)
+
+
+def register_grasp(name: str) -> Callable[[F], F]:
+    """Decorator that registers a grasp rule."""
+    return _register(GRASPS, "grasp rule", name)
+
+
+def get_success(name: str) -> Function:
+    """The success rule called ``name``."""
+    if name not in SUCCESSES:
+        raise unknown_name("success rule", name, SUCCESSES)
+    return SUCCESSES[name]
+
+
+def get_grasp(name: str) -> Function:
+    """The grasp rule called ``name``."""
+    if name not in GRASPS:
+        raise unknown_name("grasp rule", name, GRASPS)
+    return GRASPS[name]
+
+
+def cost_info(state: State, action: Tensor, goal: Tensor, grasp: Function) -> tuple[Points, dict[str, Any]]:
+    """What a cost reads of states (B,), the actions (B, A) that led there and goals (B, G)."""
+    points = EntityPoints(state)
+    info: dict[str, Any] = {
+        "goal": goal,
+        "action": action,
+        "velocity": EntityPoints(state, velocity=True),
+        "extra": {"goal_pos": goal},
+    }
+    info["grasped"] = grasp(points, info)
+    return points, info
+
+
+def _register(registry: dict[str, Function], kind: str, name: str) -> Callable[[F], F]:
+    if name in registry:
+        raise ValueError(f"{kind} {name!r} is registered already")
+
+    def register(function: F) -> F:
+        registry[name] = function
+        return function
+
+    return register
+
+
+def _each(function: Function) -> Function:
+    """Batched form of a function of one scene."""
+    takes_cfg = len(inspect.signature(function).parameters) == 3
+
+    def batched(points: Points, info: Info) -> Tensor:
+        goal = info["goal"]
+        cfg = (SimpleNamespace(device=goal.device),) if takes_cfg else ()
+        values = [
+            function(*cfg, {n: points[n][b] for n in points}, _element(info, b)) for b in range(len(goal))
+        ]
+        return torch.stack([torch.as_tensor(v, dtype=goal.dtype, device=goal.device) for v in values])
+
+    return batched
+
+
+def _element(info: Info, b: int) -> dict[str, Any]:
+    """``info`` of one element of the batch; goals as plain lists, as a simulator's info has them."""
+    return {
+        "goal": info["goal"][b],
+        "action": info["action"][b],
+        "grasped": bool(info["grasped"][b]),
+        "velocity": {n: info["velocity"][n][b] for n in info["velocity"]},
+        "extra": {"goal_pos": info["extra"]["goal_pos"][b].tolist()},
+    }

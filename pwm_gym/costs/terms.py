@@ -1,0 +1,58 @@
+"""Reusable terms on the clouds of a parallel gripper. Lengths in metres, in the robot base's frame."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import torch
+from torch import Tensor
+
+__all__ = ["centre", "finger_gaps", "near_and_shut", "pinched", "speed", "tool_centre"]
+
+Points = Mapping[str, Tensor]
+
+_TOOL_RATIO = 0.355  # (tool - fingers) / (fingers - hand) along the Panda hand's axis, of its collision meshes
+_CLOSE = 0.025  # the paper's grasp distance
+_TOUCH = 0.004  # a pad this near to the object's side touches it; cloud spacing and contact depth stay below
+
+
+def centre(points: Points, name: str) -> Tensor:
+    """Mean (B, 3) of an entity's points."""
+    return points[name].mean(-2)
+
+
+def tool_centre(points: Points) -> Tensor:
+    """Point (B, 3) between the finger tips: on the line from the hand's centre through the fingers' centre."""
+    fingers = 0.5 * (centre(points, "left_gripper") + centre(points, "right_gripper"))
+    return fingers + _TOOL_RATIO * (fingers - centre(points, "hand"))
+
+
+def finger_gaps(points: Points, name: str) -> Tensor:
+    """Gaps (B, 2) between each finger's inner side and the object's, along the fingers' axis.
+
+    Zero: touching. Negative: the finger is past that side, beside or above the object.
+    """
+    left, right = points["left_gripper"], points["right_gripper"]
+    axis = left.mean(-2) - right.mean(-2)
+    axis = (axis / axis.norm(dim=-1, keepdim=True).clamp_min(1e-6)).unsqueeze(-1)  # (B, 3, 1)
+    along = (points[name] @ axis).squeeze(-1)
+    left_gap = (left @ axis).squeeze(-1).amin(-1) - along.amax(-1)
+    right_gap = along.amin(-1) - (right @ axis).squeeze(-1).amax(-1)
+    return torch.stack([left_gap, right_gap], -1)
+
+
+def near_and_shut(points: Points, action: Tensor, name: str) -> Tensor:
+    """Bool (B,): tool centre within 2.5 cm of the object's, gripper commanded shut (paper, appendix "Cost Function")."""
+    near = (tool_centre(points) - centre(points, name)).norm(dim=-1) <= _CLOSE
+    return near & (action[..., -1] < 0)
+
+
+def pinched(points: Points, action: Tensor, name: str) -> Tensor:
+    """Bool (B,): near and shut, and both fingers stopped at the object's sides, with the object between them."""
+    touching = (finger_gaps(points, name).abs() <= _TOUCH).all(-1)
+    return touching & near_and_shut(points, action, name)
+
+
+def speed(velocity: Points, name: str) -> Tensor:
+    """Speed (B,) of an entity's centre, metres a step."""
+    return velocity[name].mean(-2).norm(dim=-1)

@@ -1,0 +1,118 @@
+"""A data set, a world model and its checkpoint: what ``pwm-gym train`` does."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import nn
+
+from pwm_gym.data.dataset import Dataset, Windows, load_split, read_header
+from pwm_gym.data.episodes import KINDS
+from pwm_gym.dynamics.checkpoint import SceneBank, save_checkpoint, use_device
+from pwm_gym.dynamics.registry import build_model
+from pwm_gym.dynamics.training import TrainConfig, train
+from pwm_gym.tasks import Task, get_task
+
+__all__ = ["BANK", "FitConfig", "fit", "scene_bank"]
+
+BANK = 256
+"""Initial scenes that a checkpoint carries."""
+_BOOST = 3.0  # windows with pushes, drops and releases are drawn this many times as often
+
+Validate = Callable[[Any, Dataset], dict[str, float]]
+
+
+@dataclass(frozen=True)
+class FitConfig:
+    """What to train on what."""
+
+    task: str = "PickCube"
+    """Registered task."""
+    data: tuple[Path, ...] = (Path("data-sets/PickCube"),)
+    """Folders of data sets of the task (``pwm-gym collect``); their training splits are joined."""
+    out: Path = Path("runs/PickCube")
+    """Folder of the run: TensorBoard curves, the state to resume from, and ``checkpoint``."""
+    model: str = "compact"
+    """Registered kind of world model."""
+    settings: dict[str, Any] = field(default_factory=dict)
+    """Overrides of the kind's hyper-parameters."""
+    boost: float = _BOOST
+    """How much likelier windows with an object's own motion are drawn."""
+
+
+def fit(config: FitConfig, training: TrainConfig, validate: Validate, progress: bool = True) -> Path:
+    """Train and return the checkpoint's folder.
+
+    Args:
+        config: what to train on what.
+        training: how.
+        validate: metrics of a model on a data set (rollouts of validation episodes).
+        progress: whether to show bars.
+
+    Raises:
+        DatasetError: a data set is missing, truncated or of another task.
+    """
+    task = get_task(config.task)
+    use_device(training.device)
+    splits = [load_split(folder, "train", task.name) for folder in config.data]
+    dataset = _joined(splits)
+    windows = Windows(dataset, config.boost)
+    held_out = load_split(config.data[0], "validation", task.name)
+    torch.manual_seed(training.seed)
+    model = build_model(config.model, task.layout, task.action_size, task.action_frame.vectors, config.settings)
+    _fit_response(model, windows)
+    checkpoint = config.out / "checkpoint"
+    description = {
+        "config": json.loads(json.dumps(asdict(training), default=str)),
+        "data": _describe(config, dataset),
+        "windows_boost": config.boost,
+    }
+    bank = scene_bank(task, dataset)
+
+    def save(trained: nn.Module, metrics: dict[str, float]) -> None:
+        save_checkpoint(checkpoint, trained, config.model, bank, description, {"validation": metrics})
+
+    train(model, windows, training, config.out, lambda m: validate(m, held_out), save, progress)
+    return checkpoint
+
+
+def _joined(splits: list[Dataset]) -> Dataset:
+    first = splits[0]
+    return Dataset(first.task, first.layout, first.clouds, tuple(e for s in splits for e in s.episodes))
+
+
+def _fit_response(model: nn.Module, windows: Windows) -> None:
+    """Least-squares part of a model that has one, in closed form on every training transition."""
+    response = getattr(model, "response", None)
+    if response is not None:
+        every = windows.transitions()
+        response.fit(every.frames, every.actions[:, 0], every.following[:, 0])
+
+
+def _describe(config: FitConfig, dataset: Dataset) -> dict[str, Any]:
+    """What the training data is, for the checkpoint's description."""
+    kinds = np.bincount([e.kind for e in dataset.episodes], minlength=len(KINDS))
+    return {
+        "settings": [read_header(folder)["settings"] for folder in config.data],
+        "episodes": dict(zip(KINDS, map(int, kinds), strict=True)),
+        "transitions": sum(len(e) for e in dataset.episodes),
+        "source": "ManiSkill 3 simulation (Apache-2.0), scripted expert",
+    }
+
+
+def scene_bank(task: Task, dataset: Dataset) -> SceneBank:
+    """Initial scenes of the first training episodes."""
+    chosen = dataset.episodes[:BANK]
+    return SceneBank(
+        task.name,
+        dataset.layout,
+        dataset.clouds,
+        np.stack([e.poses[0] for e in chosen]),
+        np.stack([e.goal for e in chosen]),
+    )

@@ -1,0 +1,166 @@
+"""Checkpoints: safetensors weights, a JSON description and a bank of initial scenes in one folder."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from safetensors import SafetensorError
+from safetensors.torch import load_file, save_file
+from torch import nn
+
+from pwm_gym.dynamics.model import WorldModel
+from pwm_gym.dynamics.registry import build_model, config_of
+from pwm_gym.errors import CheckpointError, unknown_name
+from pwm_gym.scene import Layout, Scene
+
+__all__ = ["SCHEMA", "SHIPPED", "Checkpoint", "SceneBank", "load_checkpoint", "resolve", "save_checkpoint"]
+
+SCHEMA = 1
+SHIPPED = Path(__file__).parent.parent / "checkpoints"
+"""Folder of the checkpoints that come with the package, one a task."""
+
+
+@dataclass(frozen=True)
+class SceneBank:
+    """Initial scenes of one task that share their canonical clouds; drawn from training seeds."""
+
+    task: str
+    layout: Layout
+    clouds: np.ndarray
+    """(N, 3) float32."""
+    poses: np.ndarray
+    """(M, E, 7) float32."""
+    goals: np.ndarray
+    """(M, G) float32."""
+
+    def __len__(self) -> int:
+        return len(self.poses)
+
+    def scene(self, index: int) -> Scene:
+        """The scene at ``index``, at rest."""
+        poses = np.repeat(self.poses[index].astype(np.float64)[None], 3, 0)
+        return Scene(self.task, self.layout, self.clouds, poses, self.goals[index])
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """A trained world model with what is known of it."""
+
+    model: WorldModel
+    task: str
+    kind: str
+    description: dict[str, Any]
+    bank: SceneBank
+
+
+def save_checkpoint(
+    folder: Path, model: Any, kind: str, bank: SceneBank, training: dict[str, Any], metrics: dict[str, Any]
+) -> None:
+    """Write ``model`` to ``folder``: ``model.safetensors``, ``config.json``, ``scenes.npz``."""
+    folder.mkdir(parents=True, exist_ok=True)
+    description = {
+        "format": "pwm_gym.checkpoint",
+        "schema": SCHEMA,
+        "task": bank.task,
+        "model": kind,
+        "config": config_of(model),
+        "layout": model.layout.to_json(),
+        "action_size": model.action_size,
+        "action_vectors": list(getattr(model, "action_vectors", ())),
+        "training": training,
+        "metrics": metrics,
+    }
+    weights = {k: v.detach().cpu().contiguous() for k, v in model.state_dict().items()}
+    save_file(weights, folder / ".model.safetensors")
+    np.savez_compressed(folder / ".scenes.npz", clouds=bank.clouds, poses=bank.poses, goals=bank.goals)
+    (folder / ".config.json").write_text(json.dumps(description, indent=2))
+    for name in ("model.safetensors", "scenes.npz", "config.json"):
+        (folder / f".{name}").replace(folder / name)
+
+
+def resolve(checkpoint: str | Path, task: str) -> Path:
+    """Folder of a checkpoint: a path, the name of a shipped one, or ``"default"`` for the task's own.
+
+    Raises:
+        UnknownNameError: neither a folder nor a shipped name.
+    """
+    shipped = {p.parent.name: p.parent for p in SHIPPED.glob("*/config.json")}
+    name = task if str(checkpoint) == "default" else str(checkpoint)
+    if name in shipped:
+        return shipped[name]
+    path = Path(checkpoint)
+    if not path.is_dir():
+        raise unknown_name("checkpoint", str(checkpoint), [*shipped, "default"])
+    return path
+
+
+def load_checkpoint(folder: str | Path, task: str | None = None, device: str = "cpu") -> Checkpoint:
+    """Read a checkpoint that :func:`save_checkpoint` wrote; the model is in evaluation mode on ``device``.
+
+    Raises:
+        CheckpointError: truncated, foreign, of another task, or of a newer schema.
+    """
+    folder = Path(folder)
+    description = _description(folder)
+    if task is not None and description["task"] != task:
+        raise CheckpointError(f"{folder} is a checkpoint of task {description['task']!r}; expected {task!r}")
+    layout = Layout.from_json(description["layout"])
+    vectors = tuple((a, b) for a, b in description["action_vectors"])
+    model = build_model(
+        description["model"], layout, description["action_size"], vectors, description["config"]
+    )
+    _load_weights(model, folder / "model.safetensors")
+    model.eval().requires_grad_(False)
+    bank = _bank(folder / "scenes.npz", description["task"], layout)
+    return Checkpoint(model.to(device), description["task"], description["model"], description, bank)  # type: ignore[arg-type]
+
+
+def _description(folder: Path) -> dict[str, Any]:
+    path = folder / "config.json"
+    if not path.exists():
+        raise CheckpointError(f"{folder} is not a checkpoint: it has no config.json")
+    try:
+        description = json.loads(path.read_text())
+    except json.JSONDecodeError as error:
+        raise CheckpointError(f"{path} is truncated or not JSON ({error})") from error
+    if description.get("format") != "pwm_gym.checkpoint":
+        raise CheckpointError(f"{path} has format {description.get('format')!r}; expected 'pwm_gym.checkpoint'")
+    if description["schema"] > SCHEMA:
+        raise CheckpointError(f"{path} has schema {description['schema']}; this version reads up to {SCHEMA}")
+    return description
+
+
+def _load_weights(model: nn.Module, path: Path) -> None:
+    try:
+        weights = load_file(path)
+    except (SafetensorError, OSError) as error:
+        raise CheckpointError(f"{path} is truncated or not safetensors ({error})") from error
+    try:
+        model.load_state_dict(weights)
+    except RuntimeError as error:
+        raise CheckpointError(f"{path} does not fit its config.json: {error}") from error
+
+
+def _bank(path: Path, task: str, layout: Layout) -> SceneBank:
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            return SceneBank(task, layout, file["clouds"], file["poses"], file["goals"])
+    except (OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        raise CheckpointError(f"{path} is truncated or not a scene bank ({error})") from error
+
+
+def use_device(device: str) -> torch.device:
+    """A PyTorch device that exists here.
+
+    Raises:
+        CheckpointError: CUDA was asked for where there is none.
+    """
+    if device.startswith("cuda") and not torch.cuda.is_available():
+        raise CheckpointError(f"device={device!r}, but PyTorch {torch.__version__} sees no CUDA device; use 'cpu'")
+    return torch.device(device)

@@ -1,0 +1,257 @@
+"""The default world model: small enough to train on two CPU cores and to plan with in real time.
+
+Like the paper's network it encodes the completed cloud, attends to an action token and to register tokens, and decodes
+a motion; unlike it, points are pooled to one token an entity and the decoded motion is rigid, so that shapes never
+drift. Everything is expressed in the end effector's frame together with where the robot's base and the vertical are,
+which makes the model exactly equivariant to turns about the base's vertical axis.
+
+- The root link moves by its linear response (:mod:`pwm_gym.dynamics.response`) plus a learned twist that vanishes at
+  rest without a command; links that slide on it move along their joints, within the joints' limits.
+- Every other entity moves by ``a * (the end effector's motion) + m * (a learned twist)``, with gates a and m that
+  reach 0 and 1 exactly: an untouched object rests and a held one does not slip, for any number of steps.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from pwm_gym.dynamics.response import LinearResponse, twists
+from pwm_gym.scene import Layout, RigidState, State
+from pwm_gym.scene.se3 import make_pose, rotation_from_vector
+
+__all__ = ["CompactConfig", "CompactModel"]
+
+# Scales that bring features to order 1; metres, radians, per step where it is a motion.
+_LENGTH, _NEAR = 0.1, 0.01
+_TRANSLATION, _ROTATION, _OPENING = 0.01, 0.05, 0.005
+
+
+@dataclass(frozen=True)
+class CompactConfig:
+    """Hyper-parameters of :class:`CompactModel`."""
+
+    points: int = 32
+    """Points of each entity that the network reads (the first of its cloud, which are well spread)."""
+    point_width: int = 64
+    """Channels of the per-point network."""
+    width: int = 128
+    """Channels of a token."""
+    blocks: int = 4
+    """Attention blocks over [entities, action, registers]."""
+    heads: int = 4
+    """Attention heads."""
+    mlp_ratio: int = 2
+    """Hidden width of a block's MLP over ``width``."""
+    registers: int = 1
+    """Register tokens (paper, Table "Effect of Register token")."""
+
+
+class CompactModel(nn.Module):
+    """Rigid motions of entity tokens; implements :class:`pwm_gym.dynamics.WorldModel`.
+
+    Args:
+        layout: the scene's entities; exactly one effector link without a slider is the root.
+        action_size: A.
+        action_vectors: half-open ranges of the action that are vectors in the base's frame.
+        config: hyper-parameters.
+    """
+
+    def __init__(
+        self,
+        layout: Layout,
+        action_size: int,
+        action_vectors: tuple[tuple[int, int], ...] = (),
+        config: CompactConfig | None = None,
+    ) -> None:
+        super().__init__()
+        self.layout, self.action_size, self.config = layout, action_size, config or CompactConfig()
+        self.action_vectors = action_vectors
+        self.response = LinearResponse(layout, action_size)
+        effector = self.response.effector
+        self._free = [i for i, e in enumerate(layout) if not e.effector]
+        c, sliders = self.config, len(effector.sliding)
+        self.point_net = nn.Sequential(
+            nn.Linear(5, c.point_width), nn.GELU(), nn.Linear(c.point_width, c.point_width)
+        )
+        context = 7 + 18 + 4 * sliders  # see _context
+        self.token = nn.Linear(2 * c.point_width + 24 + context, c.width)
+        self.kind = nn.Parameter(0.02 * torch.randn(len(layout), c.width))
+        self.action = nn.Sequential(nn.Linear(action_size, c.width), nn.GELU(), nn.Linear(c.width, c.width))
+        self.register = nn.Parameter(0.02 * torch.randn(c.registers, c.width))
+        self.blocks = nn.ModuleList(_Block(c.width, c.heads, c.mlp_ratio) for _ in range(c.blocks))
+        self.norm = nn.LayerNorm(c.width)
+        self.head = nn.Linear(c.width, 8)  # attachment, movement, twist
+        nn.init.zeros_(self.head.weight)
+        nn.init.zeros_(self.head.bias)
+
+    def prepare(self, state: State) -> State:
+        """Entity poses of ``state``; its points are registered to its canonical clouds where it has none."""
+        return state if isinstance(state, RigidState) else RigidState(state.layout, state.clouds, state.history())
+
+    def step(self, state: State, action: Tensor) -> RigidState:
+        """State (B,) one control step after action (B, A)."""
+        assert isinstance(state, RigidState)
+        frames = state.frames  # (B, 3, E, 4, 4)
+        openings = self.response.effector.openings(frames)  # (B, 3, S)
+        base, slide = self.response(frames, openings, action)  # (B, 6), (B, S)
+        decoded = self._decode(state, openings, base, slide, action)  # (B, E, 8)
+        return state.advance(self._move(state, openings[:, 0], base, slide, action, decoded))
+
+    def _decode(
+        self, state: RigidState, openings: Tensor, base: Tensor, slide: Tensor, action: Tensor
+    ) -> Tensor:
+        """Attention over [entities, action, registers]; (B, E, 8)."""
+        entities = self._entities(state, self._context(state.frames, openings, base, slide))
+        command = self.action(self._turned(action, self._root(state.frames)[:, :3, :3])).unsqueeze(1)
+        registers = self.register.expand(len(action), -1, -1)
+        tokens = torch.cat([entities, command, registers], 1)  # (B, E + 1 + R, C)
+        for block in self.blocks:
+            tokens = block(tokens)
+        return self.head(self.norm(tokens[:, : len(self.layout)]))
+
+    def _root(self, frames: Tensor) -> Tensor:
+        return frames[:, 0, self.response.effector.root]
+
+    def _turned(self, action: Tensor, rotation: Tensor) -> Tensor:
+        """Action (B, A) with its vectors in the end effector's frame."""
+        parts, start = [], 0
+        for a, b in self.action_vectors:
+            parts += [action[:, start:a], (action[:, None, a:b] @ rotation).squeeze(1)]
+            start = b
+        return torch.cat([*parts, action[:, start:]], 1)
+
+    def _context(self, frames: Tensor, openings: Tensor, base: Tensor, slide: Tensor) -> Tensor:
+        """What every token knows (B, K): base and vertical as the end effector sees them, and its motion."""
+        root = frames[:, :, self.response.effector.root]
+        turn = root[:, 0, :3, :3].unsqueeze(1)  # row vectors times it are in the end effector's frame
+        origin, up = root[:, 0, :3, 3], root[:, 0, 2, :3]
+        motion = torch.cat([twists(root), base.unsqueeze(1)], 1)  # (B, 3, 6): t, t-1 and the linear response
+        linear = motion[..., None, :3] @ turn / _TRANSLATION
+        angular = motion[..., None, 3:] @ turn / _ROTATION
+        speeds = (openings[:, :2] - openings[:, 1:]).flatten(1) / _OPENING
+        seen = (origin.unsqueeze(1) @ turn.squeeze(1)).squeeze(1)
+        return torch.cat(
+            [
+                seen / _LENGTH,
+                up,
+                origin[:, 2:] / _LENGTH,
+                linear.flatten(1),
+                angular.flatten(1),
+                openings[:, 0] / _NEAR,
+                speeds,
+                slide / _OPENING,
+            ],
+            1,
+        )
+
+    def _entities(self, state: RigidState, context: Tensor) -> Tensor:
+        """Entity tokens (B, E, C) of their points, poses and motions in the end effector's frame."""
+        frames, root = state.frames, self.response.effector.root
+        turn = frames[:, 0, root, :3, :3].unsqueeze(1)  # (B, 1, 3, 3)
+        origin = frames[:, 0, root, :3, 3].unsqueeze(1)
+        rotation = turn.transpose(-1, -2) @ frames[:, 0, :, :3, :3]  # (B, E, 3, 3)
+        offset = ((frames[:, 0, :, :3, 3] - origin).unsqueeze(-2) @ turn).squeeze(-2)
+        moves = twists(frames.transpose(1, 2)).transpose(1, 2)  # (B, 2, E, 6)
+        linear = moves[..., None, :3] @ turn.unsqueeze(1) / _TRANSLATION
+        angular = moves[..., None, 3:] @ turn.unsqueeze(1) / _ROTATION
+        motion = torch.cat([linear, angular], -1).squeeze(-2).transpose(1, 2).flatten(2)  # (B, E, 12)
+        pose = torch.cat([rotation.flatten(2), offset / _LENGTH], -1)  # (B, E, 12)
+        shape = self._pooled(state, rotation, offset)
+        shared = context.unsqueeze(1).expand(-1, len(self.layout), -1)
+        return self.token(torch.cat([shape, pose, motion, shared], -1)) + self.kind
+
+    def _pooled(self, state: RigidState, rotation: Tensor, offset: Tensor) -> Tensor:
+        """Largest and mean point features (B, E, 2 P) of each entity, from its pose in the end effector's frame."""
+        clouds, layout, root = state.clouds, state.layout, self._root(state.frames)
+        count = min(self.config.points, *(e.points for e in layout))
+        canonical = torch.stack([clouds[:, e.start : e.start + count] for e in layout], 1)  # (B, E, k, 3)
+        points = canonical @ rotation.transpose(-1, -2) + offset.unsqueeze(-2)
+        height = (points @ root[:, None, 2, :3, None] + root[:, None, None, 2:3, 3]).clamp(-1, 1)
+        near = torch.tanh(height / _NEAR)
+        features = self.point_net(torch.cat([points / _LENGTH, height / _LENGTH, near], -1))
+        return torch.cat([features.amax(-2), features.mean(-2)], -1)
+
+    def _move(
+        self,
+        state: RigidState,
+        openings: Tensor,
+        base: Tensor,
+        slide: Tensor,
+        action: Tensor,
+        decoded: Tensor,
+    ) -> Tensor:
+        """Next poses (B, E, 4, 4)."""
+        frames, effector = state.frames, self.response.effector
+        now = frames[:, 0]
+        turn = now[:, effector.root, :3, :3]
+        linear = decoded[..., 2:5] @ turn.transpose(-1, -2) * _TRANSLATION  # (B, E, 3) in the world frame
+        angular = decoded[..., 5:8] @ turn.transpose(-1, -2) * _ROTATION
+        alive = _aliveness(twists(frames[:, :, effector.root]), action[:, : self._arm_stop()])
+        step = base + alive * torch.cat([linear[:, effector.root], angular[:, effector.root]], -1)
+        root = _displace(now[:, effector.root], step[:, :3], step[:, 3:])  # (B, 4, 4)
+        moved = [torch.empty(0)] * len(self.layout)
+        moved[effector.root] = root
+        if effector.sliding:
+            widths = effector.limit(openings + slide + decoded[:, effector.sliding, 2] * _OPENING)
+            for k, pose in zip(effector.sliding, effector.links(root, widths).unbind(1), strict=True):
+                moved[k] = pose
+        for k in self._free:
+            moved[k] = self._carry(now[:, k], state.clouds[:, state.layout.entities[k].slice], now, root, step,
+                                   decoded[:, k], linear[:, k], angular[:, k])
+        return torch.stack(moved, 1)
+
+    def _arm_stop(self) -> int:
+        return max((b for _, b in self.action_vectors), default=self.action_size)
+
+    def _carry(self, pose: Tensor, cloud: Tensor, now: Tensor, root: Tensor, step: Tensor,
+               decoded: Tensor, linear: Tensor, angular: Tensor) -> Tensor:
+        """Next pose (B, 4, 4) of a free entity: carried by the end effector, moved on its own, or neither."""
+        attached, moving = _gate(decoded[:, 0:1]), _gate(decoded[:, 1:2])
+        middle = cloud.mean(1)  # canonical
+        centre = (pose[:, :3, :3] @ middle.unsqueeze(-1)).squeeze(-1) + pose[:, :3, 3]
+        before = now[:, self.response.effector.root]
+        local = ((centre - before[:, :3, 3]).unsqueeze(1) @ before[:, :3, :3]).squeeze(1)
+        carried = (root[:, :3, :3] @ local.unsqueeze(-1)).squeeze(-1) + root[:, :3, 3] - centre
+        rotation = rotation_from_vector(attached * step[:, 3:] + moving * angular) @ pose[:, :3, :3]
+        there = centre + attached * carried + moving * linear
+        return make_pose(rotation, there - (rotation @ middle.unsqueeze(-1)).squeeze(-1))
+
+
+def _displace(pose: Tensor, translation: Tensor, rotation: Tensor) -> Tensor:
+    """Pose (B, 4, 4) turned about its own origin and moved, both in the world frame."""
+    return make_pose(rotation_from_vector(rotation) @ pose[:, :3, :3], pose[:, :3, 3] + translation)
+
+
+def _gate(logit: Tensor) -> Tensor:
+    """Sigmoid stretched to reach 0 and 1 exactly, with the plain sigmoid's gradient (never zero)."""
+    soft = torch.sigmoid(logit)
+    return soft + (torch.clamp(1.2 * soft - 0.1, 0.0, 1.0) - soft).detach()
+
+
+def _aliveness(motion: Tensor, command: Tensor) -> Tensor:
+    """0 where the end effector rests without a command, near 1 elsewhere; (B, 1)."""
+    scale = motion.new_tensor([_TRANSLATION] * 3 + [_ROTATION] * 3)
+    size = (motion / scale).square().sum((-1, -2)) + command.square().sum(-1)
+    return torch.tanh(10.0 * size.clamp_min(1e-12).sqrt()).unsqueeze(-1)
+
+
+class _Block(nn.Module):
+    """Pre-norm attention and MLP."""
+
+    def __init__(self, width: int, heads: int, ratio: int) -> None:
+        super().__init__()
+        self.heads = heads
+        self.norm1, self.norm2 = nn.LayerNorm(width), nn.LayerNorm(width)
+        self.qkv, self.out = nn.Linear(width, 3 * width), nn.Linear(width, width)
+        self.mlp = nn.Sequential(nn.Linear(width, ratio * width), nn.GELU(), nn.Linear(ratio * width, width))
+
+    def forward(self, tokens: Tensor) -> Tensor:
+        """Tokens (B, T, C) -> (B, T, C)."""
+        q, k, v = self.qkv(self.norm1(tokens)).unflatten(-1, (3, self.heads, -1)).permute(2, 0, 3, 1, 4)
+        mixed = F.scaled_dot_product_attention(q, k, v).transpose(1, 2).flatten(2)
+        tokens = tokens + self.out(mixed)
+        return tokens + self.mlp(self.norm2(tokens))

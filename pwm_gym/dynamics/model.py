@@ -1,0 +1,38 @@
+"""What every world model offers."""
+
+from __future__ import annotations
+
+from typing import Protocol, runtime_checkable
+
+from torch import Tensor
+
+from pwm_gym.scene import Layout, State, stack
+
+__all__ = ["WorldModel", "rollout"]
+
+
+@runtime_checkable
+class WorldModel(Protocol):
+    """Action-conditioned dynamics of a completed point cloud (paper, section 3, "3D Point World Model")."""
+
+    layout: Layout
+    action_size: int
+
+    def prepare(self, state: State) -> State:
+        """The state in the form that this model moves: entity poses, or points."""
+
+    def step(self, state: State, action: Tensor) -> State:
+        """State (B,) one control step after action (B, A) in [-1, 1]."""
+
+
+def rollout(model: WorldModel, state: State, actions: Tensor) -> State:
+    """States (B, H) that ``model`` predicts from ``state`` (B,) under ``actions`` (B, H, A).
+
+    ``rollout(...).points()`` is (B, H, N, 3); step h is the state after action h.
+    """
+    state = model.prepare(state)
+    states: list[State] = []
+    for action in actions.unbind(1):
+        state = model.step(state, action)
+        states.append(state)
+    return stack(states, 1)

@@ -1,0 +1,73 @@
+"""World models by name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, fields
+from typing import Any
+
+from torch import nn
+
+from pwm_gym.dynamics.baselines import BaselineConfig, Commanded, LinearBaseline, Still
+from pwm_gym.dynamics.compact import CompactConfig, CompactModel
+from pwm_gym.dynamics.paper import PaperConfig, PaperModel
+from pwm_gym.errors import CheckpointError, unknown_name
+from pwm_gym.scene import Layout
+
+__all__ = ["MODELS", "ModelKind", "build_model", "model_kind"]
+
+Vectors = tuple[tuple[int, int], ...]
+
+
+@dataclass(frozen=True)
+class ModelKind:
+    """How to build one kind of world model."""
+
+    config: type
+    """Frozen dataclass of its hyper-parameters."""
+    build: Callable[[Layout, int, Vectors, Any], nn.Module]
+    """Layout, action size, action's vector ranges and config -> model."""
+
+
+MODELS: dict[str, ModelKind] = {
+    "compact": ModelKind(CompactConfig, CompactModel),
+    "paper": ModelKind(PaperConfig, lambda layout, size, _, config: PaperModel(layout, size, config)),
+    "still": ModelKind(BaselineConfig, Still),
+    "commanded": ModelKind(BaselineConfig, Commanded),
+    "linear": ModelKind(BaselineConfig, LinearBaseline),
+}
+"""Name -> kind; the last three are the baselines without learning."""
+
+
+def model_kind(name: str) -> ModelKind:
+    """The kind called ``name``.
+
+    Raises:
+        UnknownNameError: listing the known kinds and the nearest one.
+    """
+    if name not in MODELS:
+        raise unknown_name("world model", name, MODELS)
+    return MODELS[name]
+
+
+def build_model(
+    name: str,
+    layout: Layout,
+    action_size: int,
+    action_vectors: Vectors,
+    config: Mapping[str, Any] | None = None,
+) -> nn.Module:
+    """A fresh model of kind ``name``; ``config`` overrides its defaults (JSON lists become tuples)."""
+    kind = model_kind(name)
+    known = {f.name for f in fields(kind.config)}
+    values = dict(config or {})
+    for key in values:
+        if key not in known:
+            raise CheckpointError(str(unknown_name(f"{name} setting", key, known)))
+    plain = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
+    return kind.build(layout, action_size, action_vectors, kind.config(**plain))
+
+
+def config_of(model: Any) -> dict[str, Any]:
+    """JSON form of a model's hyper-parameters."""
+    return asdict(model.config)

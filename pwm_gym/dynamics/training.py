@@ -1,0 +1,333 @@
+"""Multi-step supervised training of world models (paper, section 3, "Training Objective").
+
+Every batch is a pure function of (seed, step, rank), so a killed run resumes to the same result. Several processes
+(``torchrun``) share the work through PyTorch's DistributedDataParallel.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import torch
+import torch.distributed as dist
+from torch import Tensor, nn
+from torch.nn import functional as F
+from tqdm import tqdm
+
+from pwm_gym.dynamics.model import WorldModel
+from pwm_gym.errors import CheckpointError
+from pwm_gym.scene import Layout, RigidState, State
+
+__all__ = ["Batch", "Batches", "TrainConfig", "rollout_loss", "train"]
+
+_STATE = "training-state.pt"
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Windows of H steps."""
+
+    clouds: Tensor
+    """Canonical points (B, N, 3)."""
+    frames: Tensor
+    """Poses (B, 3, E, 4, 4) at t, t-1, t-2."""
+    actions: Tensor
+    """(B, H, A)."""
+    following: Tensor
+    """True poses (B, H, E, 4, 4) after each action."""
+
+    def state(self, layout: Layout) -> RigidState:
+        """The state that the window begins with."""
+        return RigidState(layout, self.clouds, self.frames)
+
+
+class Batches(Protocol):
+    """Where training draws its windows."""
+
+    def sample(self, generator: torch.Generator, batch: int, horizon: int) -> Batch:
+        """``batch`` windows of ``horizon`` steps."""
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """How to train. The defaults train the compact model; :meth:`paper` gives the paper's table."""
+
+    phases: tuple[tuple[int, int, int], ...] = ((1, 9000, 512), (5, 2500, 256), (15, 900, 192))
+    """(horizon H, optimiser steps, batch size), one after the other."""
+    learning_rate: float = 1.5e-3
+    """AdamW's, at its highest."""
+    weight_decay: float = 0.01
+    """AdamW's."""
+    schedule: str = "cosine"
+    """"cosine" (to 1 % over the whole run) or "step" (StepLR)."""
+    step_size: int = 30
+    """StepLR: epochs between drops."""
+    gamma: float = 0.1
+    """StepLR: factor of a drop."""
+    epoch_steps: int = 1000
+    """Optimiser steps that StepLR counts as one epoch."""
+    huber_delta: float = 0.25
+    """Huber's delta, in units of ``loss_scale`` metres."""
+    loss_scale: float = 0.002
+    """Metres that count as 1 in the loss; the paper's loss is on metres (1.0)."""
+    position_weight: float = 0.1
+    """Weight of the same loss on positions (0 in the paper: velocities alone)."""
+    object_weight: float = 2.0
+    """Weight of the points of entities that the robot does not drive."""
+    loss_points: int = 32
+    """Points of each entity in the loss (a model that moves points always uses all of its own)."""
+    gradient_clip: float = 1.0
+    """Largest gradient norm."""
+    average: float = 0.998
+    """Decay of the weights' moving average, which is what is saved; 0 saves the last weights."""
+    seed: int = 0
+    """Initial weights and batches."""
+    threads: int = 2
+    """PyTorch threads a process."""
+    validate_every: int = 1000
+    """Optimiser steps between validation rollouts; the training state is saved then, too."""
+    device: str = "cpu"
+    """PyTorch device."""
+
+    @classmethod
+    def paper(cls, steps: int = 100_000, batch: int = 32) -> TrainConfig:
+        """The paper's table: Huber(0.25) on velocities over H = 15, AdamW 1e-4, StepLR(30, 0.1)."""
+        return cls(
+            phases=((15, steps, batch),),
+            learning_rate=1e-4,
+            schedule="step",
+            loss_scale=1.0,
+            position_weight=0.0,
+            object_weight=1.0,
+            loss_points=10**9,
+            average=0.0,
+        )
+
+    @property
+    def steps(self) -> int:
+        """Optimiser steps in all."""
+        return sum(steps for _, steps, _ in self.phases)
+
+    def phase(self, step: int) -> tuple[int, int]:
+        """(horizon, batch size) at ``step``."""
+        for horizon, steps, batch in self.phases:
+            if step < steps:
+                return horizon, batch
+            step -= steps
+        return self.phases[-1][0], self.phases[-1][2]
+
+
+class _RolloutLoss(nn.Module):
+    """Loss of one batch as a module, so that DistributedDataParallel sees one forward a step."""
+
+    def __init__(self, model: nn.Module, config: TrainConfig) -> None:
+        super().__init__()
+        self.model, self.config = model, config
+
+    def forward(self, batch: Batch) -> Tensor:
+        return rollout_loss(self.model, batch, self.config)  # type: ignore[arg-type]
+
+
+def rollout_loss(model: WorldModel, batch: Batch, config: TrainConfig) -> Tensor:
+    """Mean Huber loss over H predicted steps, on per-point velocities (and positions), in ``loss_scale`` units."""
+    layout = model.layout
+    read = [e.start + k for e in layout for k in range(min(config.loss_points, e.points))]
+    weight = torch.ones(len(read), 1, device=batch.frames.device)
+    effector = [layout.entities[i].effector for i in layout.ids[read]]
+    weight[~torch.tensor(effector, device=weight.device)] = config.object_weight
+    weight = weight / weight.mean()
+    state: State = model.prepare(batch.state(layout))
+    truth = batch.frames[:, 0]
+    terms = []
+    for h in range(batch.actions.shape[1]):
+        before = state
+        state = model.step(state, batch.actions[:, h])
+        target = _at(layout, batch.clouds, batch.following[:, h], read)
+        previous = _at(layout, batch.clouds, truth, read)
+        truth = batch.following[:, h]
+        position, last = _read(state, read), _read(before, read)
+        error = ((position - last) - (target - previous)) / config.loss_scale
+        term = (_huber(error, config.huber_delta) * weight).mean()
+        if config.position_weight:
+            drift = (position - target) / config.loss_scale
+            term = term + config.position_weight * (_huber(drift, config.huber_delta) * weight).mean()
+        terms.append(term)
+    return torch.stack(terms).mean()
+
+
+def _huber(error: Tensor, delta: float) -> Tensor:
+    return F.huber_loss(error, torch.zeros_like(error), reduction="none", delta=delta)
+
+
+def _at(layout: Layout, clouds: Tensor, poses: Tensor, read: list[int]) -> Tensor:
+    """Points ``read`` (B, n, 3) of true poses (B, E, 4, 4)."""
+    ids = torch.as_tensor(layout.ids[read], device=poses.device)
+    pose = poses[:, ids]
+    return (pose[..., :3, :3] @ clouds[:, read].unsqueeze(-1)).squeeze(-1) + pose[..., :3, 3]
+
+
+def _read(state: State, read: list[int]) -> Tensor:
+    """Points ``read`` (B, n, 3) of a state, without forming the others where it is rigid."""
+    if isinstance(state, RigidState):
+        return _at(state.layout, state.clouds, state.poses(), read)
+    return state.points()[:, read]
+
+
+def train(
+    model: nn.Module,
+    batches: Batches,
+    config: TrainConfig,
+    folder: Path,
+    validate: Callable[[Any], dict[str, float]],
+    save: Callable[[nn.Module, dict[str, float]], None],
+    progress: bool = True,
+) -> dict[str, float]:
+    """Train ``model`` and return the last validation's metrics.
+
+    Args:
+        model: a world model; it is changed in place and holds the averaged weights at the end.
+        batches: training windows.
+        config: settings.
+        folder: TensorBoard curves and the training state; a state found there is resumed.
+        validate: metrics of a model, by rollouts of validation episodes.
+        save: writes a checkpoint of a model with its metrics.
+        progress: whether to show a bar.
+    """
+    torch.set_num_threads(config.threads)
+    run = _Run(model.to(config.device), config, folder)
+    metrics: dict[str, float] = {}
+    with tqdm(total=config.steps, initial=run.step, disable=not (progress and run.leads), desc="train") as bar:
+        while run.step < config.steps:
+            loss = run.update(batches)
+            bar.update()
+            if run.step % 50 == 0:
+                run.log({"train/loss": loss, "train/horizon": config.phase(run.step)[0]})
+                bar.set_postfix(loss=f"{loss:.4f}", **{k: f"{v:.4f}" for k, v in metrics.items()})
+            if run.step % config.validate_every == 0 or run.step == config.steps:
+                metrics = run.checkpoint(validate, save)
+    run.finish()
+    return metrics or validate(model)
+
+
+class _Run:
+    """One training run: optimiser, averaged weights, step count, and their state on disk."""
+
+    def __init__(self, model: nn.Module, config: TrainConfig, folder: Path) -> None:
+        self.config, self.folder, self.model, self.step = config, folder, model, 0
+        self.rank, self.world = int(os.environ.get("RANK", 0)), int(os.environ.get("WORLD_SIZE", 1))
+        self.leads = self.rank == 0
+        if self.world > 1 and not dist.is_initialized():
+            dist.init_process_group("nccl" if config.device.startswith("cuda") else "gloo")
+        self.loss: nn.Module = _RolloutLoss(model, config)
+        if self.world > 1:
+            self.loss = nn.parallel.DistributedDataParallel(self.loss)
+        self.optimizer = torch.optim.AdamW(
+            model.parameters(), lr=config.learning_rate, weight_decay=config.weight_decay
+        )
+        self.average = {k: v.detach().clone() for k, v in model.state_dict().items()}
+        folder.mkdir(parents=True, exist_ok=True)
+        self._resume()
+        self._writer: Any = None
+        self.started = time.time()
+
+    def _resume(self) -> None:
+        path = self.folder / _STATE
+        if not path.exists():
+            return
+        try:
+            state = torch.load(path, map_location=self.config.device, weights_only=True)
+        except Exception as error:
+            raise CheckpointError(f"{path} is truncated or foreign ({error}); delete it to start anew") from error
+        if state["config"] != repr(self.config):
+            raise CheckpointError(f"{path} was written with {state['config']}; expected {self.config!r}")
+        self.model.load_state_dict(state["model"])
+        self.optimizer.load_state_dict(state["optimizer"])
+        self.average, self.step = state["average"], state["step"]
+
+    def update(self, batches: Batches) -> float:
+        """One optimiser step; returns its loss."""
+        horizon, size = self.config.phase(self.step)
+        generator = torch.Generator().manual_seed(
+            (self.config.seed * 1_000_003 + self.step) * 1_009 + self.rank
+        )
+        batch = batches.sample(generator, max(1, size // self.world), horizon)
+        batch = Batch(*(getattr(batch, f).to(self.config.device) for f in batch.__dataclass_fields__))
+        for group in self.optimizer.param_groups:
+            group["lr"] = self._learning_rate()
+        self.model.train()
+        self.optimizer.zero_grad(set_to_none=True)
+        loss = self.loss(batch)
+        loss.backward()
+        nn.utils.clip_grad_norm_(self.model.parameters(), self.config.gradient_clip)
+        self.optimizer.step()
+        self.step += 1
+        self._fold_average()
+        return float(loss.detach())
+
+    def _learning_rate(self) -> float:
+        c = self.config
+        if c.schedule == "step":
+            return c.learning_rate * c.gamma ** (self.step // c.epoch_steps // c.step_size)
+        warm = min(1.0, (self.step + 1) / 200)
+        done = torch.tensor(self.step / c.steps * torch.pi)
+        return c.learning_rate * warm * (0.01 + 0.99 * 0.5 * (1 + float(torch.cos(done))))
+
+    @torch.no_grad()
+    def _fold_average(self) -> None:
+        decay = min(self.config.average, self.step / (self.step + 10))
+        for name, value in self.model.state_dict().items():
+            if value.is_floating_point():
+                self.average[name].lerp_(value, 1.0 - decay)
+            else:
+                self.average[name].copy_(value)
+
+    def log(self, values: dict[str, float]) -> None:
+        """Append to the TensorBoard curves (the first process alone)."""
+        if not self.leads:
+            return
+        if self._writer is None:
+            from torch.utils.tensorboard import SummaryWriter
+
+            self._writer = SummaryWriter(str(self.folder / "tensorboard"), purge_step=self.step)
+        for name, value in values.items():
+            self._writer.add_scalar(name, value, self.step)
+
+    def checkpoint(
+        self, validate: Callable[[Any], dict[str, float]], save: Callable[[nn.Module, dict[str, float]], None]
+    ) -> dict[str, float]:
+        """Validate and save the averaged weights, and the state to resume from."""
+        if not self.leads:
+            return {}
+        last = {k: v.detach().clone() for k, v in self.model.state_dict().items()}
+        self.model.load_state_dict(self.average)
+        self.model.eval()
+        metrics = validate(self.model)
+        save(self.model, metrics)
+        self.model.load_state_dict(last)
+        self.log({f"validation/{k}": v for k, v in metrics.items()})
+        state = {
+            "config": repr(self.config),
+            "model": last,
+            "optimizer": self.optimizer.state_dict(),
+            "average": self.average,
+            "step": self.step,
+        }
+        temporary = self.folder / f".{_STATE}"
+        torch.save(state, temporary)
+        temporary.replace(self.folder / _STATE)
+        return metrics
+
+    def finish(self) -> None:
+        """Leave the averaged weights in the model and close what is open."""
+        self.model.load_state_dict(self.average)
+        self.model.eval()
+        if self._writer is not None:
+            self._writer.close()
+        if self.world > 1:
+            dist.barrier()
+            dist.destroy_process_group()

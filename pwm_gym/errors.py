@@ -1,0 +1,41 @@
+"""Errors that name the offending value and what was expected."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+__all__ = ["CheckpointError", "DatasetError", "PwmGymError", "SceneError", "UnknownNameError", "unknown_name"]
+
+
+class PwmGymError(ValueError):
+    """Base class of the package's errors about bad input."""
+
+
+class SceneError(PwmGymError):
+    """A scene does not fit the task: entities, point counts, poses or goal."""
+
+
+class CheckpointError(PwmGymError):
+    """A checkpoint is truncated, foreign, of another task or of a newer schema."""
+
+
+class DatasetError(PwmGymError):
+    """A data set is truncated, foreign or of another task."""
+
+
+class UnknownNameError(PwmGymError):
+    """A name that no registry holds."""
+
+
+def unknown_name(kind: str, name: str, known: Iterable[str]) -> UnknownNameError:
+    """Error for an unregistered ``name``: lists the ``known`` ones and suggests the nearest.
+
+    Example:
+        >>> print(unknown_name("cost", "pick_cub", ["pick_cube", "pick_cube_paper"]))
+        unknown cost 'pick_cub'; known: pick_cube, pick_cube_paper. Did you mean 'pick_cube'?
+    """
+    names = sorted(known)
+    near = difflib.get_close_matches(name, names, n=1)
+    hint = f" Did you mean '{near[0]}'?" if near else ""
+    return UnknownNameError(f"unknown {kind} {name!r}; known: {', '.join(names) or 'none'}.{hint}")

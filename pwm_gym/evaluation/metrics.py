@@ -1,0 +1,26 @@
+"""Metrics on point clouds and poses. Lengths in metres."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+__all__ = ["chamfer", "pearson"]
+
+
+def chamfer(a: np.ndarray, b: np.ndarray, order: int = 1) -> float:
+    """Symmetric Chamfer distance between clouds (n, 3) and (m, 3), metres.
+
+    Half the sum of both directions' mean nearest distances; ``order`` 1 sums absolute coordinates (the paper's
+    Chamfer L1), 2 is Euclidean.
+    """
+    forward, _ = cKDTree(b).query(a, p=order)
+    backward, _ = cKDTree(a).query(b, p=order)
+    return 0.5 * float(forward.mean() + backward.mean())
+
+
+def pearson(a: np.ndarray, b: np.ndarray) -> float | None:
+    """Pearson correlation of two series; None where one of them does not vary."""
+    if len(a) < 2 or a.std() < 1e-9 or b.std() < 1e-9:
+        return None
+    return float(np.corrcoef(a, b)[0, 1])

@@ -1,0 +1,134 @@
+"""Open-loop rollouts of recorded episodes: the paper's setting, "observe three clouds, then predict" (section 4.1)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from pwm_gym.data.dataset import Dataset
+from pwm_gym.data.episodes import Episode
+from pwm_gym.dynamics.model import WorldModel
+from pwm_gym.scene import RigidState, State, stack
+from pwm_gym.scene.se3 import matrix_from_pose7, rotation_angle
+
+__all__ = ["OBSERVED", "Rollouts", "predict", "validation_metrics"]
+
+OBSERVED = 3
+"""Clouds that a model sees before it predicts."""
+_CHUNK = 128  # episodes rolled out at once
+
+
+@dataclass(frozen=True)
+class Rollouts:
+    """Predictions for a list of episodes, padded to the longest."""
+
+    episodes: tuple[Episode, ...]
+    poses: Tensor
+    """Predicted poses (M, H, E, 4, 4)."""
+    truth: Tensor
+    """True poses (M, H, E, 4, 4)."""
+    actions: Tensor
+    """(M, H, A)."""
+    states: State
+    """Predicted states (M, H)."""
+    lengths: np.ndarray
+    """Predicted steps of each episode (M,)."""
+
+    @property
+    def mask(self) -> Tensor:
+        """Bool (M, H): steps that exist."""
+        return torch.arange(self.poses.shape[1]) < torch.as_tensor(self.lengths)[:, None]
+
+
+@torch.no_grad()
+def predict(model: WorldModel, dataset: Dataset, oracle_effector: bool = False) -> Rollouts:
+    """Roll ``model`` out under the actions of each episode of ``dataset``.
+
+    Args:
+        model: world model on the CPU.
+        dataset: episodes of one split.
+        oracle_effector: whether the true end effector replaces the predicted one after each step.
+    """
+    episodes = tuple(e for e in dataset.episodes if len(e) > OBSERVED - 1)
+    lengths = np.array([len(e) - (OBSERVED - 1) for e in episodes])
+    horizon = int(lengths.max())
+    frames = torch.stack([_frames(e, horizon) for e in episodes])  # (M, H + 3, E, 4, 4)
+    actions = torch.stack([_actions(e, horizon) for e in episodes])
+    clouds = torch.as_tensor(dataset.clouds)
+    chunks = []
+    for k in range(0, len(episodes), _CHUNK):
+        part = slice(k, k + _CHUNK)
+        start = RigidState(dataset.layout, clouds.expand(len(frames[part]), -1, -1), frames[part, :3].flip(1))
+        chunks.append(_roll(model, start, actions[part], frames[part, 3:] if oracle_effector else None))
+    states = _joined(chunks)
+    return Rollouts(episodes, states.poses(), frames[:, 3:], actions, states, lengths)
+
+
+def _frames(episode: Episode, horizon: int) -> Tensor:
+    """True poses (H + 3, E, 4, 4), the last one repeated past the end."""
+    index = np.minimum(np.arange(horizon + OBSERVED), len(episode))
+    return matrix_from_pose7(torch.as_tensor(episode.poses[index], dtype=torch.float64)).float()
+
+
+def _actions(episode: Episode, horizon: int) -> Tensor:
+    index = np.minimum(np.arange(horizon) + OBSERVED - 1, len(episode) - 1)
+    return torch.as_tensor(episode.actions[index])
+
+
+def _roll(model: WorldModel, start: RigidState, actions: Tensor, effector: Tensor | None) -> State:
+    """States (B, H); the true ``effector`` poses (B, H, E, 4, 4) overwrite the predicted links after each step."""
+    links = torch.tensor([e.effector for e in start.layout])
+    state: State = model.prepare(start)
+    states = []
+    for h in range(actions.shape[1]):
+        state = model.step(state, actions[:, h])
+        if effector is not None:
+            state = _overwrite(state, effector[:, h], links)
+        states.append(state)
+    return stack(states, 1)
+
+
+def _overwrite(state: State, truth: Tensor, links: Tensor) -> State:
+    poses = torch.where(links[:, None, None], truth, state.poses())
+    rigid = RigidState(state.layout, state.clouds, torch.cat([poses.unsqueeze(1), state.history()[:, 1:]], 1))
+    if isinstance(state, RigidState):
+        return rigid
+    kept = torch.as_tensor(links.numpy()[state.layout.ids])[:, None]
+    points = torch.where(kept, rigid.points(), state.points())
+    return type(state)(  # type: ignore[call-arg]
+        state.layout, state.clouds, torch.cat([points.unsqueeze(1), state.frames[:, 1:]], 1)
+    )
+
+
+def _joined(chunks: list[State]) -> State:
+    parts = iter(zip(*((c.clouds, c.frames) for c in chunks), strict=True))
+    return chunks[0].map(lambda _: torch.cat(next(parts)))
+
+
+def position_errors(rollouts: Rollouts, entity: int) -> Tensor:
+    """Distance (M, H) in metres between predicted and true origin of an entity; NaN past an episode's end."""
+    gap = (rollouts.poses - rollouts.truth)[:, :, entity, :3, 3].norm(dim=-1)
+    return gap.masked_fill(~rollouts.mask, torch.nan)
+
+
+def rotation_errors(rollouts: Rollouts, entity: int) -> Tensor:
+    """Angle (M, H) in degrees between predicted and true orientation of an entity; NaN past an episode's end."""
+    angle = rotation_angle(rollouts.poses[:, :, entity, :3, :3], rollouts.truth[:, :, entity, :3, :3])
+    return torch.rad2deg(angle).masked_fill(~rollouts.mask, torch.nan)
+
+
+def validation_metrics(model: WorldModel, dataset: Dataset) -> dict[str, float]:
+    """Cheap metrics for training: mean position errors of hand and objects, in millimetres, over whole rollouts."""
+    out = {}
+    for name, kinds in (("demonstration", ("expert", "randomised")), ("practice", ("practice",))):
+        part = dataset.of_kinds(kinds)
+        if not part.episodes:
+            continue
+        rollouts = predict(model, part)
+        for i, entity in enumerate(dataset.layout):
+            if entity.slider is None:
+                out[f"{name}_{entity.name}_mm"] = float(position_errors(rollouts, i).nanmean()) * 1e3
+    return out

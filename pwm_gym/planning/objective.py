@@ -1,0 +1,63 @@
+"""The cost of action sequences, by one batched rollout of a world model."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from pwm_gym.costs import Cost, cost_info
+from pwm_gym.costs.registry import Function
+from pwm_gym.dynamics.model import WorldModel, rollout
+from pwm_gym.scene import RigidState, State
+
+__all__ = ["RolloutObjective"]
+
+
+class RolloutObjective:
+    """Sum of a cost over the predicted steps, the last one counted more.
+
+    Args:
+        model: world model.
+        cost: cost of a state.
+        grasp: rule for ``info["grasped"]``.
+        terminal: extra weight of the last step.
+        points: points an entity that the cost reads (rigid models only); None reads all.
+    """
+
+    def __init__(
+        self,
+        model: WorldModel,
+        cost: Cost,
+        grasp: Function,
+        terminal: float = 2.0,
+        points: int | None = 64,
+    ) -> None:
+        self.model, self.cost, self.grasp, self.terminal, self.points = model, cost, grasp, terminal, points
+        self._state: State | None = None
+        self._goal = torch.empty(0)
+
+    def begin(self, state: State, goal: Tensor) -> RolloutObjective:
+        """Plan from ``state`` (B,) towards ``goal`` (B, G)."""
+        state = self.model.prepare(state)
+        if self.points is not None and isinstance(state, RigidState):
+            state = state.coarsen(state.layout.truncate(self.points))
+        self._state, self._goal = state, goal
+        return self
+
+    @torch.no_grad()
+    def __call__(self, actions: Tensor) -> Tensor:
+        """Costs (B, S) of action sequences (B, S, H, A)."""
+        assert self._state is not None, "call begin() first"
+        batch, samples, horizon, size = actions.shape
+        start = self._state.map(lambda x: _repeat(x, samples))
+        states = rollout(self.model, start, actions.flatten(0, 1))  # (B S, H)
+        flat = states.map(lambda x: x.flatten(0, 1))
+        goal = _repeat(self._goal, samples * horizon)
+        points, info = cost_info(flat, actions.reshape(-1, size), goal, self.grasp)
+        costs = self.cost(points, info).view(batch, samples, horizon)
+        return costs.sum(-1) + self.terminal * costs[..., -1]
+
+
+def _repeat(value: Tensor, times: int) -> Tensor:
+    """Each of (B, ...) repeated ``times`` times, (B times, ...); a view where B is 1."""
+    return value.unsqueeze(1).expand(-1, times, *value.shape[1:]).flatten(0, 1)

@@ -1,0 +1,22 @@
+"""Entities, canonical clouds, rigid motions and the batched state. Knows nothing of simulators or learning."""
+
+from pwm_gym.scene.cloud import resample_clouds, sample_clouds, sample_surface
+from pwm_gym.scene.layout import Entity, Layout, Slider
+from pwm_gym.scene.scene import Scene, batch_state
+from pwm_gym.scene.state import EntityPoints, PointState, RigidState, State, stack
+
+__all__ = [
+    "Entity",
+    "EntityPoints",
+    "Layout",
+    "PointState",
+    "RigidState",
+    "Scene",
+    "Slider",
+    "State",
+    "batch_state",
+    "resample_clouds",
+    "sample_clouds",
+    "sample_surface",
+    "stack",
+]

@@ -1,0 +1,41 @@
+"""Canonical clouds: points sampled once on an entity's mesh, in its own frame (paper, appendix "Data Generation")."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import fpsample
+import numpy as np
+import trimesh
+
+from pwm_gym.errors import SceneError
+from pwm_gym.scene.layout import Layout
+
+__all__ = ["resample_clouds", "sample_clouds", "sample_surface"]
+
+_CANDIDATES = 8  # surface samples per kept point, from which farthest-point sampling chooses
+
+
+def sample_surface(mesh: trimesh.Trimesh, count: int, seed: int) -> np.ndarray:
+    """``count`` points (count, 3) spread over ``mesh``, float32, in the order of farthest-point sampling.
+
+    Every prefix is itself well spread, so a coarser cloud is the first points of a finer one.
+    """
+    candidates, _ = trimesh.sample.sample_surface(mesh, count * _CANDIDATES, seed=seed)
+    candidates = np.ascontiguousarray(candidates, dtype=np.float32)
+    order = fpsample.fps_sampling(candidates, count, start_idx=0)
+    return candidates[order]
+
+
+def sample_clouds(meshes: Mapping[str, trimesh.Trimesh], layout: Layout, seed: int) -> np.ndarray:
+    """Canonical points (N, 3) of every entity of ``layout``, float32, from meshes in their own frames (metres)."""
+    missing = [name for name in layout.names if name not in meshes]
+    if missing:
+        raise SceneError(f"no mesh for {', '.join(missing)}; got {', '.join(meshes) or 'none'}")
+    parts = [sample_surface(meshes[e.name], e.points, seed + i) for i, e in enumerate(layout)]
+    return np.concatenate(parts)
+
+
+def resample_clouds(clouds: np.ndarray, full: Layout, layout: Layout) -> np.ndarray:
+    """Coarser canonical points of ``layout`` from those of ``full``: each entity's first points."""
+    return np.concatenate([clouds[f.start : f.start + e.points] for f, e in zip(full, layout, strict=True)])

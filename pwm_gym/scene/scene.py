@@ -1,0 +1,121 @@
+"""A scene: all that starts an episode, in the model or in the simulator."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from pwm_gym.errors import SceneError
+from pwm_gym.scene.cloud import resample_clouds
+from pwm_gym.scene.layout import Layout
+from pwm_gym.scene.se3 import matrix_from_pose7
+from pwm_gym.scene.state import RigidState
+
+__all__ = ["Scene", "batch_state"]
+
+_FIELDS = ("clouds", "poses", "goal", "joints", "joint_velocities", "last_action")
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Entities' canonical clouds and poses, and the goal. Everything is in the robot base's frame.
+
+    Its last three poses carry the velocities; a static scene repeats one pose.
+    """
+
+    task: str
+    layout: Layout
+    clouds: np.ndarray
+    """Canonical points (N, 3), float32, metres."""
+    poses: np.ndarray
+    """Entity poses (3, E, 7) at t, t-1, t-2: xyz in metres, unit quaternion wxyz."""
+    goal: np.ndarray
+    """(G,) as the task defines it; for PickCube the cube's goal position in metres."""
+    joints: np.ndarray | None = None
+    """Robot joint positions (J,), when a simulator or a robot made the scene."""
+    joint_velocities: np.ndarray | None = None
+    """Robot joint velocities (J,) in radians (metres) per second."""
+    last_action: np.ndarray | None = None
+    """The action (A,) that led here, if any: it tells whether the gripper was commanded shut."""
+
+    def validate(self, task: str, layout: Layout, goal_size: int) -> Scene:
+        """This scene, checked against what ``task`` expects.
+
+        Raises:
+            SceneError: naming the first thing that does not fit.
+        """
+        if self.task != task:
+            raise SceneError(f"the scene is of task {self.task!r}; expected {task!r}")
+        if self.layout.names != layout.names:
+            raise SceneError(f"the scene's entities are {self.layout.names}; expected {layout.names}")
+        counts, wanted = ([e.points for e in x] for x in (self.layout, layout))
+        if any(c < w for c, w in zip(counts, wanted, strict=True)):
+            raise SceneError(f"the scene's point counts are {counts}; expected at least {wanted}")
+        shapes = {
+            "clouds": (self.layout.points, 3),
+            "poses": (3, len(layout), 7),
+            "goal": (goal_size,),
+        }
+        for name, shape in shapes.items():
+            array = getattr(self, name)
+            if array.shape != shape:
+                raise SceneError(f"scene.{name} has shape {array.shape}; expected {shape}")
+            if not np.isfinite(array).all():
+                raise SceneError(
+                    f"scene.{name} holds {int((~np.isfinite(array)).sum())} values that are not finite"
+                )
+        norms = np.linalg.norm(self.poses[..., 3:], axis=-1)
+        if np.abs(norms - 1).max() > 1e-2:
+            raise SceneError(f"scene.poses has a quaternion of norm {norms.flat[np.abs(norms - 1).argmax()]:.3f}")
+        return self
+
+    def coarsen(self, layout: Layout) -> Scene:
+        """The same scene with the (fewer) points of ``layout``."""
+        if layout == self.layout:
+            return self
+        return replace(self, layout=layout, clouds=resample_clouds(self.clouds, self.layout, layout))
+
+    def save(self, path: str | Path) -> None:
+        """Write the scene to an ``.npz`` file (arrays and JSON text, no pickle)."""
+        import json
+
+        arrays: dict[str, Any] = {k: v for k in _FIELDS if (v := getattr(self, k)) is not None}
+        header = {"format": "pwm_gym.scene", "schema": 1, "task": self.task, "layout": self.layout.to_json()}
+        buffer = io.BytesIO()
+        np.savez_compressed(buffer, header=np.array(json.dumps(header)), **arrays)
+        Path(path).write_bytes(buffer.getvalue())
+
+    @classmethod
+    def load(cls, path: str | Path) -> Scene:
+        """Read a scene that :meth:`save` wrote.
+
+        Raises:
+            SceneError: the file is truncated or not a scene.
+        """
+        import json
+
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                header = json.loads(str(file["header"]))
+                arrays = {k: file[k] for k in _FIELDS if k in file.files}
+        except FileNotFoundError:
+            raise
+        except (KeyError, ValueError, OSError, zipfile.BadZipFile) as error:
+            raise SceneError(f"{path} is not a scene file ({error})") from error
+        if header.get("format") != "pwm_gym.scene":
+            raise SceneError(f"{path} has format {header.get('format')!r}; expected 'pwm_gym.scene'")
+        return cls(task=header["task"], layout=Layout.from_json(header["layout"]), **arrays)
+
+
+def batch_state(scenes: list[Scene], device: torch.device | str = "cpu") -> RigidState:
+    """State (B,) of scenes that share one layout."""
+    clouds = torch.as_tensor(np.stack([s.clouds for s in scenes]), dtype=torch.float32)
+    poses = torch.as_tensor(np.stack([s.poses for s in scenes]), dtype=torch.float64)
+    frames = matrix_from_pose7(poses).float()  # (B, 3, E, 4, 4)
+    return RigidState(scenes[0].layout, clouds.to(device), frames.to(device))

@@ -1,0 +1,238 @@
+"""The batched state of a scene: its points and their two last velocities.
+
+Rigid scenes keep entity poses of three steps and form points only when asked (:class:`RigidState`); a deformable or
+unsegmented scene keeps the points themselves (:class:`PointState`). Every array may have any leading dimensions:
+(B,) in an environment, (B, H) for a rollout.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol, runtime_checkable
+
+import roma
+import torch
+from torch import Tensor
+
+from pwm_gym.scene.layout import Layout
+from pwm_gym.scene.se3 import make_pose, transform
+
+__all__ = ["EntityPoints", "PointState", "RigidState", "State", "stack"]
+
+
+@runtime_checkable
+class State(Protocol):
+    """What a world model moves: x_t, v_t = x_t - x_{t-1} and v_{t-1}, in metres and metres per step."""
+
+    @property
+    def layout(self) -> Layout:
+        """The entities, in the order of their points."""
+
+    @property
+    def clouds(self) -> Tensor:
+        """Canonical points (..., N, 3)."""
+
+    @property
+    def frames(self) -> Tensor:
+        """The tensor that moves: three steps of it, newest first."""
+
+    @property
+    def batch(self) -> torch.Size:
+        """Leading dimensions."""
+
+    def points(self) -> Tensor:
+        """World-frame points x_t (..., N, 3)."""
+
+    def velocity(self) -> Tensor:
+        """v_t (..., N, 3)."""
+
+    def previous_velocity(self) -> Tensor:
+        """v_{t-1} (..., N, 3)."""
+
+    def entity(self, name: str, step: int = 0) -> Tensor:
+        """World-frame points (..., n, 3) of one entity, ``step`` (0, 1 or 2) steps ago."""
+
+    def poses(self) -> Tensor:
+        """World-frame poses (..., E, 4, 4) of the entities."""
+
+    def history(self) -> Tensor:
+        """Poses (..., 3, E, 4, 4) of three steps, newest first."""
+
+    def __getitem__(self, index: Any) -> State:
+        """Index the leading dimensions."""
+
+    def map(self, function: Any) -> State:
+        """State with ``function`` applied to each batched tensor."""
+
+
+@dataclass(frozen=True)
+class RigidState:
+    """Entity poses of three steps, newest first, with the canonical clouds that they carry."""
+
+    layout: Layout
+    clouds: Tensor
+    """Canonical points (..., N, 3), with the same leading dimensions as the poses (expanded, not copied)."""
+    frames: Tensor
+    """Poses (..., 3, E, 4, 4) at t, t-1, t-2."""
+
+    @property
+    def batch(self) -> torch.Size:
+        """Leading dimensions."""
+        return self.frames.shape[:-4]
+
+    def _points_at(self, step: int) -> Tensor:
+        parts = [
+            transform(self.frames[..., step, i, :, :], self.clouds[..., e.slice, :])
+            for i, e in enumerate(self.layout)
+        ]
+        return torch.cat(parts, -2)
+
+    def points(self) -> Tensor:
+        """World-frame points x_t (..., N, 3)."""
+        return self._points_at(0)
+
+    def velocity(self) -> Tensor:
+        """v_t (..., N, 3)."""
+        return self._points_at(0) - self._points_at(1)
+
+    def previous_velocity(self) -> Tensor:
+        """v_{t-1} (..., N, 3)."""
+        return self._points_at(1) - self._points_at(2)
+
+    def entity(self, name: str, step: int = 0) -> Tensor:
+        """World-frame points (..., n, 3) of one entity, ``step`` (0, 1 or 2) steps ago."""
+        i = self.layout.index(name)
+        return transform(self.frames[..., step, i, :, :], self.clouds[..., self.layout.entities[i].slice, :])
+
+    def poses(self) -> Tensor:
+        """World-frame poses (..., E, 4, 4)."""
+        return self.frames[..., 0, :, :, :]
+
+    def history(self) -> Tensor:
+        """Poses (..., 3, E, 4, 4) of three steps, newest first."""
+        return self.frames
+
+    def advance(self, poses: Tensor) -> RigidState:
+        """State one step later, at ``poses`` (..., E, 4, 4)."""
+        frames = torch.cat([poses.unsqueeze(-4), self.frames[..., :2, :, :, :]], -4)
+        return RigidState(self.layout, self.clouds, frames)
+
+    def __getitem__(self, index: Any) -> RigidState:
+        return RigidState(self.layout, self.clouds[index], self.frames[index])
+
+    def coarsen(self, layout: Layout) -> RigidState:
+        """The same poses with the (fewer) points of ``layout``: each entity's first."""
+        kept = [f.start + k for f, e in zip(self.layout, layout, strict=True) for k in range(e.points)]
+        return RigidState(layout, self.clouds[..., kept, :], self.frames)
+
+    def map(self, function: Any) -> RigidState:
+        """State with ``function`` applied to each batched tensor."""
+        return RigidState(self.layout, function(self.clouds), function(self.frames))
+
+
+@dataclass(frozen=True)
+class PointState:
+    """Points of three steps, newest first, with the canonical clouds that give entity poses by registration."""
+
+    layout: Layout
+    clouds: Tensor
+    """Canonical points (..., N, 3)."""
+    frames: Tensor
+    """Points (..., 3, N, 3) at t, t-1, t-2."""
+
+    @classmethod
+    def of(cls, state: State) -> PointState:
+        """The same state, kept as points."""
+        if isinstance(state, PointState):
+            return state
+        points = state.points()
+        previous = points - state.velocity()
+        frames = torch.stack([points, previous, previous - state.previous_velocity()], -3)
+        return cls(state.layout, state.clouds, frames)
+
+    @property
+    def batch(self) -> torch.Size:
+        """Leading dimensions."""
+        return self.frames.shape[:-3]
+
+    def points(self) -> Tensor:
+        """World-frame points x_t (..., N, 3)."""
+        return self.frames[..., 0, :, :]
+
+    def velocity(self) -> Tensor:
+        """v_t (..., N, 3)."""
+        return self.frames[..., 0, :, :] - self.frames[..., 1, :, :]
+
+    def previous_velocity(self) -> Tensor:
+        """v_{t-1} (..., N, 3)."""
+        return self.frames[..., 1, :, :] - self.frames[..., 2, :, :]
+
+    def entity(self, name: str, step: int = 0) -> Tensor:
+        """World-frame points (..., n, 3) of one entity, ``step`` (0, 1 or 2) steps ago."""
+        return self.frames[..., step, self.layout[name].slice, :]
+
+    def _register(self, points: Tensor) -> Tensor:
+        """Best-fitting entity poses (..., E, 4, 4) of points (..., N, 3) (Kabsch)."""
+        poses = []
+        for e in self.layout:
+            target = points[..., e.slice, :]
+            source = self.clouds[..., e.slice, :].expand_as(target)
+            poses.append(make_pose(*roma.rigid_points_registration(source, target)))
+        return torch.stack(poses, -3)
+
+    def poses(self) -> Tensor:
+        """World-frame poses (..., E, 4, 4), registered to the canonical clouds."""
+        return self._register(self.points())
+
+    def history(self) -> Tensor:
+        """Poses (..., 3, E, 4, 4) of three steps, newest first."""
+        return torch.stack([self._register(self.frames[..., k, :, :]) for k in range(3)], -4)
+
+    def advance(self, points: Tensor) -> PointState:
+        """State one step later, at ``points`` (..., N, 3)."""
+        frames = torch.cat([points.unsqueeze(-3), self.frames[..., :2, :, :]], -3)
+        return PointState(self.layout, self.clouds, frames)
+
+    def __getitem__(self, index: Any) -> PointState:
+        return PointState(self.layout, self.clouds[index], self.frames[index])
+
+    def map(self, function: Any) -> PointState:
+        """State with ``function`` applied to each batched tensor."""
+        return PointState(self.layout, function(self.clouds), function(self.frames))
+
+
+def stack(states: list[State], dim: int) -> State:
+    """States stacked along a new leading dimension ``dim`` (a rollout stacks its steps at 1)."""
+    first = states[0]
+    clouds = first.clouds
+    frames = torch.stack([s.frames for s in states], dim)
+    shape = frames.shape[: dim + 1] + clouds.shape[dim:]
+    return type(first)(first.layout, clouds.unsqueeze(dim).expand(shape), frames)  # type: ignore[call-arg]
+
+
+class EntityPoints(Mapping[str, Tensor]):
+    """Entity name -> world-frame points (B, n, 3), formed when first asked for: what a cost function reads.
+
+    Args:
+        state: the scenes.
+        velocity: whether the values are the points' velocities (metres a step) instead.
+    """
+
+    def __init__(self, state: State, velocity: bool = False) -> None:
+        self._state, self._velocity = state, velocity
+        self._formed: dict[str, Tensor] = {}
+
+    def __getitem__(self, name: str) -> Tensor:
+        if name not in self._formed:
+            if name not in self._state.layout.names:
+                raise KeyError(f"no entity {name!r}; this scene has {', '.join(self._state.layout.names)}")
+            points = self._state.entity(name)
+            self._formed[name] = points - self._state.entity(name, 1) if self._velocity else points
+        return self._formed[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._state.layout.names)
+
+    def __len__(self) -> int:
+        return len(self._state.layout)

@@ -1,0 +1,58 @@
+"""A simulator as a source of poses."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+import trimesh
+
+from pwm_gym.scene import Scene
+
+__all__ = ["SimOutcome", "Simulator"]
+
+
+@dataclass(frozen=True)
+class SimOutcome:
+    """What the simulator says of the step just made."""
+
+    reward: float
+    """The simulator's own shaped reward."""
+    success: bool
+    grasped: bool
+
+
+@runtime_checkable
+class Simulator(Protocol):
+    """Ground truth of one task. Poses, goals and points are in the robot base's frame."""
+
+    action_size: int
+
+    def meshes(self) -> Mapping[str, trimesh.Trimesh]:
+        """Each entity's surface in its own frame, metres."""
+
+    def reset(self, seed: int) -> None:
+        """Start the episode of ``seed``."""
+
+    def restore(self, scene: Scene) -> None:
+        """Start from ``scene``: its poses, velocities, joints and goal."""
+
+    def step(self, action: np.ndarray) -> SimOutcome:
+        """Apply an action (A,) in [-1, 1] for one control step."""
+
+    def outcome(self) -> SimOutcome:
+        """Reward, success and grasp of the present instant."""
+
+    def poses(self) -> np.ndarray:
+        """Entity poses (E, 7), float64: xyz in metres, unit quaternion wxyz."""
+
+    def goal(self) -> np.ndarray:
+        """Goal (G,), float32."""
+
+    def joints(self) -> tuple[np.ndarray, np.ndarray]:
+        """Joint positions and velocities, each (J,)."""
+
+    def close(self) -> None:
+        """Free the simulator; calling it twice is harmless."""

@@ -1,0 +1,231 @@
+"""PickCube: lift the cube from the table to a goal position in the air (ManiSkill ``PickCube-v1``)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from scipy.spatial.transform import Rotation
+from torch import Tensor
+
+from pwm_gym.costs import Points, register_grasp, register_success, register_terms, terms
+from pwm_gym.scene import Layout
+from pwm_gym.sim import Simulator
+from pwm_gym.tasks import panda
+from pwm_gym.tasks.registry import Task, register_task
+
+__all__ = ["PICK_CUBE", "PickCubeExpert"]
+
+_CUBE_WIDTH = 0.04  # metres
+_GOAL_RADIUS = 0.025  # metres: ManiSkill's threshold for the cube's distance from the goal
+_JOINT_RATE = 2.9 * 20  # norm of joint speeds (rad/s) per metre a step of the hand; fitted on recorded episodes
+_STATIC = 0.0045  # metres a step of the hand at which ManiSkill's joints reach its static limit, 0.2 rad/s
+
+Info = Mapping[str, Any]
+
+
+@register_grasp("pick_cube")
+def _grasped(points: Points, info: Info) -> Tensor:
+    return terms.near_and_shut(points, info["action"], "cube")
+
+
+@register_success("pick_cube")
+def _success(points: Points, info: Info) -> Tensor:
+    """Cube within 2.5 cm of the goal and the arm static."""
+    return (_goal_distance(points, info) <= _GOAL_RADIUS) & (terms.speed(info["velocity"], "hand") <= _STATIC)
+
+
+def _goal_distance(points: Points, info: Info) -> Tensor:
+    return (terms.centre(points, "cube") - info["goal"]).norm(dim=-1)
+
+
+def _reach_distance(points: Points) -> Tensor:
+    return (terms.centre(points, "cube") - terms.tool_centre(points)).norm(dim=-1)
+
+
+# ManiSkill's shaped reward, on clouds -----------------------------------------------------------------------------
+
+
+def _reaching(points: Points, info: Info) -> Tensor:
+    return 1.0 - torch.tanh(5.0 * _reach_distance(points))
+
+
+def _contact(points: Points, info: Info) -> Tensor:
+    return terms.pinched(points, info["action"], "cube").float()
+
+
+def _placing(points: Points, info: Info) -> Tensor:
+    return _contact(points, info) * (1.0 - torch.tanh(5.0 * _goal_distance(points, info)))
+
+
+def _static(points: Points, info: Info) -> Tensor:
+    rest = 1.0 - torch.tanh(5.0 * _JOINT_RATE * terms.speed(info["velocity"], "hand"))
+    return rest * (_goal_distance(points, info) <= _GOAL_RADIUS)
+
+
+def _bonus(points: Points, info: Info) -> Tensor:
+    """What success adds, so that the reward is exactly 1 there."""
+    parts = _reaching(points, info) + _contact(points, info) + _placing(points, info) + _static(points, info)
+    return (5.0 - parts) * _success(points, info)
+
+
+register_terms(
+    "pick_cube",  # minus ManiSkill's normalised shaped reward; -1 at success
+    {
+        "reaching": (-0.2, _reaching),
+        "contact": (-0.2, _contact),
+        "placing": (-0.2, _placing),
+        "static": (-0.2, _static),
+        "success": (-0.2, _bonus),
+    },
+)
+
+
+# The planners' cost: a grasp that cannot be fooled ----------------------------------------------------------------
+
+_WIDE = 0.03  # metres from the cube beyond which the gripper should be open
+_CORRIDOR = 0.012  # metres beside the cube's axis within which the fingers may come low
+_CLEAR = 0.05  # metres over the cube's centre at which open fingers clear its top
+
+
+def _approach(points: Points, info: Info) -> Tensor:
+    """Distance from tool to cube, sharper when near."""
+    distance = _reach_distance(points)
+    return 5.0 * distance + torch.tanh(distance / 0.02)
+
+
+def _early(points: Points, info: Info) -> Tensor:
+    """Shut before the cube is between the fingers."""
+    gaps = terms.finger_gaps(points, "cube")
+    width = (terms.centre(points, "left_gripper") - terms.centre(points, "right_gripper")).norm(dim=-1)
+    shut = ((0.100 - width) / 0.04).clamp(0, 1)  # the fingers' centres are 10.7 cm apart when open, 2.7 cm shut
+    away = torch.sigmoid((_reach_distance(points) - 0.018) / 0.002)
+    crushed = torch.sigmoid(-(gaps.amin(-1) + 0.006) / 0.002)
+    return shut * torch.maximum(away, crushed)
+
+
+def _low(points: Points, info: Info) -> Tensor:
+    """Fingers beside the cube at a height where they push it."""
+    offset = terms.tool_centre(points) - terms.centre(points, "cube")
+    beside = (offset[..., :2].norm(dim=-1) - _CORRIDOR).clamp(0, 0.05) / 0.05
+    depth = ((_CLEAR - offset[..., 2]) / _CLEAR).clamp(0, 1)
+    return beside.sqrt() * depth * (1 - _firm(points, info))
+
+
+def _firm(points: Points, info: Info) -> Tensor:
+    """Soft form of :func:`pwm_gym.costs.terms.pinched`, in [0, 1]."""
+    gaps = terms.finger_gaps(points, "cube").abs().amax(-1)
+    touching = torch.sigmoid((0.004 - gaps) / 0.001)
+    near = torch.sigmoid((0.020 - _reach_distance(points)) / 0.002)
+    return touching * near * (info["action"][..., -1] < 0)
+
+
+def _carry(points: Points, info: Info) -> Tensor:
+    """Distance from cube to goal counts once the grasp is firm."""
+    distance = _goal_distance(points, info)
+    return _firm(points, info) * (3.0 - 5.0 * distance.clamp_max(0.4) - torch.tanh(distance / 0.02))
+
+
+def _settle(points: Points, info: Info) -> Tensor:
+    """Speed of the hand (in units of the static limit) near the goal."""
+    near = torch.sigmoid((0.015 - _goal_distance(points, info)) / 0.003)
+    return near * (terms.speed(info["velocity"], "hand") / _STATIC).clamp_max(3.0)
+
+
+register_terms(
+    "pick_cube_plan",  # reach from above with open fingers, pinch, carry, settle
+    {
+        "approach": (1.0, _approach),
+        "early": (2.0, _early),
+        "low": (2.0, _low),
+        "carry": (-2.0, _carry),
+        "settle": (0.3, _settle),
+    },
+)
+
+
+# The scripted expert ----------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class PickCubeExpert:
+    """Hover, descend, grasp, carry: each phase is told from the poses alone."""
+
+    speed: float
+    """Longest translation asked of the controller in one step, metres; it lags and makes about half of it."""
+    hover: float = 0.08
+    """Height of the tool over the cube before it descends, metres."""
+
+    @classmethod
+    def sample(cls, rng: np.random.Generator) -> PickCubeExpert:
+        """Expert of a random speed and hover height."""
+        return cls(speed=rng.uniform(0.0105, 0.018), hover=rng.uniform(0.06, 0.10))
+
+    def act(self, poses: np.ndarray, goal: np.ndarray) -> np.ndarray:
+        """Action (7,) for poses (4, 7) of hand, fingers and cube, and the cube's goal (3,)."""
+        tool, cube = panda.tool_pose(poses), poses[3]
+        reach = cube[:3] - tool[:3]
+        turn = _yaw_error(tool, cube)
+        if self._holds(poses, reach):
+            return self._move(goal - cube[:3], 0.0, gripper=-1.0)
+        if np.linalg.norm(reach[:2]) < 0.006 and abs(reach[2]) < 0.008 and abs(turn) < 0.12:
+            return self._move(reach, turn, gripper=-1.0)
+        if np.linalg.norm(reach[:2]) < 0.012 and abs(turn) < 0.12:
+            return self._move(reach, turn, gripper=1.0)
+        above = reach + [0.0, 0.0, self.hover]
+        if above[2] > 0.02 and np.linalg.norm(reach[:2]) > 0.02:  # rise before moving sideways
+            above[:2] = 0.0
+        return self._move(above, turn, gripper=1.0)
+
+    def _holds(self, poses: np.ndarray, reach: np.ndarray) -> bool:
+        stopped = abs(panda.opening(poses) - _CUBE_WIDTH) < 0.006
+        return bool(stopped and np.linalg.norm(reach) < 0.018)
+
+    def _move(self, offset: np.ndarray, turn: float, gripper: float) -> np.ndarray:
+        distance = float(np.linalg.norm(offset))
+        step = offset * min(1.0, self.speed / max(distance, 1e-9))
+        return panda.delta_pose_action(step, np.array([0.0, 0.0, np.clip(turn, -0.1, 0.1)]), gripper)
+
+
+def _yaw_error(tool: np.ndarray, cube: np.ndarray) -> float:
+    """Smallest turn about z, radians, that aligns the fingers with two sides of the cube."""
+    x_tool = Rotation.from_quat(tool[3:], scalar_first=True).apply([1.0, 0.0, 0.0])
+    sides = Rotation.from_quat(cube[3:], scalar_first=True).as_matrix()
+    side = sides[:, np.argmin(np.abs(sides[2]))]  # an axis of the cube that lies flat
+    error = np.arctan2(side[1], side[0]) - np.arctan2(x_tool[1], x_tool[0])
+    return float((error + np.pi / 4) % (np.pi / 2) - np.pi / 4)
+
+
+def _simulator() -> Simulator:
+    from pwm_gym.sim.maniskill import ManiSkillSimulator
+
+    return ManiSkillSimulator("PickCube-v1", {**panda.BODIES, "cube": "cube"}, goal="goal_site")
+
+
+PICK_CUBE = register_task(
+    Task(
+        name="PickCube",
+        description="Lift the cube from the table to a goal position in the air.",
+        layout=Layout.build(
+            [("hand", 300), ("left_gripper", 300), ("right_gripper", 300), ("cube", 300)],
+            effectors=panda.EFFECTORS,
+            sliders=panda.SLIDERS,
+        ),
+        action_size=7,
+        goal_size=3,
+        action_names=panda.ACTION_NAMES,
+        action_frame=panda.ACTION_FRAME,
+        arm=panda.ARM,
+        object="cube",
+        simulator=_simulator,
+        expert=PickCubeExpert.sample,
+        cost="pick_cube",
+        plan_cost="pick_cube_plan",
+        success="pick_cube",
+        grasp="pick_cube",
+        reward_scale=1.0,
+    )
+)

@@ -1,0 +1,93 @@
+"""What a task is, and the registry of tasks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from pwm_gym.errors import unknown_name
+from pwm_gym.scene import Layout
+from pwm_gym.sim import Simulator
+
+__all__ = ["TASKS", "ActionFrame", "Arm", "Expert", "Task", "get_task", "register_task"]
+
+
+class Expert(Protocol):
+    """A scripted demonstrator that reads poses and keeps no memory, so that it resumes from any scene."""
+
+    def act(self, poses: np.ndarray, goal: np.ndarray) -> np.ndarray:
+        """Action (A,) in [-1, 1] for entity poses (E, 7) and goal (G,) in the base's frame."""
+
+
+@dataclass(frozen=True)
+class ActionFrame:
+    """Which parts of an action are vectors in the robot base's frame, so that a model can turn them."""
+
+    vectors: tuple[tuple[int, int], ...] = ()
+    """Half-open ranges of three components each."""
+
+
+@dataclass(frozen=True)
+class Arm:
+    """One end effector as the tasks' scripts drive it."""
+
+    tool: Callable[[np.ndarray], np.ndarray]
+    """Entity poses (E, 7) -> tool centre pose (7,)."""
+    action: Callable[[np.ndarray, np.ndarray, float], np.ndarray]
+    """Translation (3,) in metres, rotation vector (3,) in radians, gripper in [-1, 1] -> action (A,)."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """Everything that one task needs; its file in this folder fills it."""
+
+    name: str
+    description: str
+    layout: Layout
+    action_size: int
+    goal_size: int
+    action_names: tuple[str, ...]
+    action_frame: ActionFrame
+    arm: Arm
+    object: str
+    """Entity that is to be moved."""
+    simulator: Callable[[], Simulator]
+    expert: Callable[[np.random.Generator], Expert]
+    cost: str
+    """Registered cost that ports the simulator's own shaped reward."""
+    plan_cost: str
+    """Registered cost that planners use by default."""
+    success: str
+    """Registered success rule."""
+    grasp: str
+    """Registered grasp rule."""
+    cloud_seed: int = 0
+    max_episode_steps: int = 100
+    reward_scale: float = 1.0
+    """The simulator's reward divided by the reward (minus the cost) of ``cost``."""
+
+
+TASKS: dict[str, Task] = {}
+"""Task name -> task."""
+
+
+def register_task(task: Task) -> Task:
+    """Add ``task`` to the registry; a name can be taken once."""
+    if task.name in TASKS:
+        raise ValueError(f"task {task.name!r} is registered already")
+    TASKS[task.name] = task
+    return task
+
+
+def get_task(name: str) -> Task:
+    """The task called ``name``.
+
+    Raises:
+        UnknownNameError: listing the known tasks and the nearest one.
+    """
+    if name not in TASKS:
+        raise unknown_name("task", name, TASKS)
+    return TASKS[name]
