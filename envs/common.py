@@ -12,11 +12,20 @@ from gymnasium import spaces
 from torch import Tensor
 
 from pwm_gym.costs import Cost, cost_info, get_cost, get_grasp, get_success
-from pwm_gym.errors import PwmGymError
-from pwm_gym.scene import Layout, State
+from pwm_gym.errors import PwmGymError, SceneError
+from pwm_gym.scene import Layout, Scene, State
 from pwm_gym.tasks import Task
 
-__all__ = ["BOUND", "Judgement", "Rules", "check_actions", "observation_space", "observe", "outside"]
+__all__ = [
+    "BOUND",
+    "Judgement",
+    "Rules",
+    "check_actions",
+    "last_action",
+    "observation_space",
+    "observe",
+    "outside",
+]
 
 BOUND = 2.0
 """Metres from the base beyond which a prediction has left the world."""
@@ -55,7 +64,7 @@ def outside(state: State) -> Tensor:
 
 
 def check_actions(actions: Any, shape: tuple[int, ...]) -> Tensor:
-    """Actions as a float32 tensor.
+    """Actions as a float32 tensor, a copy.
 
     Raises:
         PwmGymError: wrong shape or dtype, NaN, or a value outside [-1, 1].
@@ -66,13 +75,32 @@ def check_actions(actions: Any, shape: tuple[int, ...]) -> Tensor:
         raise PwmGymError(f"actions have dtype {value.dtype}; expected floating point")
     if tuple(value.shape) != shape:
         raise PwmGymError(f"actions have shape {tuple(value.shape)}; expected {shape}")
-    tensor = torch.as_tensor(value, dtype=torch.float32)
+    if isinstance(value, Tensor):
+        tensor = value.detach().to(torch.float32, copy=True)
+    else:
+        tensor = torch.from_numpy(value.astype(np.float32))
     if not torch.isfinite(tensor).all():
         raise PwmGymError(f"actions hold {int((~torch.isfinite(tensor)).sum())} values that are not finite")
     if tensor.numel() and float(tensor.abs().max()) > 1.0 + 1e-6:
         worst = tensor.flatten()[tensor.abs().argmax()]
         raise PwmGymError(f"actions hold {float(worst):.4g}; expected values in [-1, 1]")
     return tensor
+
+
+def last_action(scene: Scene, size: int) -> np.ndarray:
+    """The action (A,) that led to a scene; at rest with an open gripper where it does not say.
+
+    Raises:
+        SceneError: it is no action of this size.
+    """
+    if scene.last_action is None:
+        rest = np.zeros(size, np.float32)
+        rest[-1] = 1.0
+        return rest
+    try:
+        return check_actions(scene.last_action, (size,)).numpy()
+    except PwmGymError as error:
+        raise SceneError(f"scene.last_action: {error}") from error
 
 
 @dataclass(frozen=True)

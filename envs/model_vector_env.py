@@ -14,7 +14,15 @@ from gymnasium.vector.utils import batch_space
 from torch import Tensor
 
 from pwm_gym.dynamics.checkpoint import load_checkpoint, resolve, use_device
-from pwm_gym.envs.common import Judgement, Rules, check_actions, observation_space, observe, outside
+from pwm_gym.envs.common import (
+    Judgement,
+    Rules,
+    check_actions,
+    last_action,
+    observation_space,
+    observe,
+    outside,
+)
 from pwm_gym.envs.rendering import SceneRenderer
 from pwm_gym.errors import PwmGymError, unknown_name
 from pwm_gym.scene import Entity, Scene, State, batch_state
@@ -105,7 +113,10 @@ class ModelVectorEnv(EzPickle, gym.vector.VectorEnv[dict[str, np.ndarray], np.nd
         for generator in self._generators:
             generator.seed()
         self._state: State | None = None
+        self.final_state: State | None = None
+        """With SAME_STEP, the state (B,) before the last restart, whose finished rows the restart replaced."""
         self._goal = torch.zeros(num_envs, self.task.goal_size, device=self.device)
+        self.final_goal = self._goal
         self._action = torch.zeros(num_envs, self.task.action_size, device=self.device)
         self._elapsed = np.zeros(num_envs, np.int64)
         self._done = np.zeros(num_envs, bool)
@@ -156,21 +167,22 @@ class ModelVectorEnv(EzPickle, gym.vector.VectorEnv[dict[str, np.ndarray], np.nd
         for key in options:
             if key not in _OPTIONS:
                 raise unknown_name("reset option", key, _OPTIONS)
-        self._seed(seed)
         mask = self._reset_mask(options.get("reset_mask"))
+        self._seed(seed, mask)
         self._restart(mask, self._scenes(options.get("scene"), mask))
         judgement = self.rules.judge(self.state, self._action, self._goal)
         return self._out(observe(self.state, self._goal)), self._info(judgement, [""] * self.num_envs)
 
-    def _seed(self, seed: int | Sequence[int | None] | None) -> None:
+    def _seed(self, seed: int | Sequence[int | None] | None, mask: np.ndarray) -> None:
+        """Seed the generators of the environments that ``mask`` restarts."""
         if seed is None:
             return
         seeds = [seed + i for i in range(self.num_envs)] if isinstance(seed, int | np.integer) else list(seed)
         if len(seeds) != self.num_envs:
             raise PwmGymError(f"{len(seeds)} seeds for {self.num_envs} environments")
-        for generator, value in zip(self._generators, seeds, strict=True):
-            if value is not None:
-                generator.manual_seed(int(value))
+        for i in np.flatnonzero(mask):
+            if (value := seeds[i]) is not None:
+                self._generators[i].manual_seed(int(value))
 
     def _reset_mask(self, mask: Any) -> np.ndarray:
         if mask is None:
@@ -191,7 +203,7 @@ class ModelVectorEnv(EzPickle, gym.vector.VectorEnv[dict[str, np.ndarray], np.nd
             bank = self.checkpoint.bank
             draws = [int(torch.randint(len(bank), (), generator=self._generators[i])) for i in chosen]
             return [bank.scene(k).coarsen(self.layout) for k in draws]
-        scenes = [scene] * len(chosen) if isinstance(scene, Scene) else list(scene)
+        scenes = list(scene) if isinstance(scene, list | tuple) else [scene] * len(chosen)
         if len(scenes) != len(chosen):
             raise PwmGymError(f"{len(scenes)} scenes for {len(chosen)} environments to reset")
         for item in scenes:
@@ -204,7 +216,7 @@ class ModelVectorEnv(EzPickle, gym.vector.VectorEnv[dict[str, np.ndarray], np.nd
         """Put ``scenes`` where ``mask`` is set."""
         fresh = self.model.prepare(batch_state(scenes, self.device))
         goals = torch.as_tensor(np.stack([s.goal for s in scenes]), dtype=torch.float32, device=self.device)
-        actions = np.stack([_last_action(s, self.task.action_size) for s in scenes])
+        actions = np.stack([last_action(s, self.task.action_size) for s in scenes])
         index = torch.as_tensor(np.flatnonzero(mask), device=self.device)
         if self._state is None:
             self._state = fresh
@@ -236,6 +248,10 @@ class ModelVectorEnv(EzPickle, gym.vector.VectorEnv[dict[str, np.ndarray], np.nd
         judgement = self.rules.judge(self._state, self._action, self._goal)
         return self._finish(judgement, escaped.cpu().numpy() & ~restarted, restarted)
 
+    def resume(self) -> None:
+        """Go on after an episode's end, as Gymnasium's single environments may."""
+        self._done[:] = False
+
     def _freeze(self, escaped: Tensor) -> None:
         """Where a prediction left the bounds, keep finite values so that the returned ones can be clipped."""
         assert self._state is not None
@@ -260,6 +276,7 @@ class ModelVectorEnv(EzPickle, gym.vector.VectorEnv[dict[str, np.ndarray], np.nd
         """SAME_STEP: the finished environments' first observations, their last ones in ``final_obs``."""
         done = self._done.copy()
         final = {"final_obs": observation, "_final_obs": done, "final_info": info, "_final_info": done}
+        self.final_state, self.final_goal = self._state, self._goal
         self._restart(done, self._scenes(None, done))
         judgement = self.rules.judge(self.state, self._action, self._goal)
         fresh = self._info(judgement, [""] * self.num_envs)
@@ -299,12 +316,3 @@ class ModelVectorEnv(EzPickle, gym.vector.VectorEnv[dict[str, np.ndarray], np.nd
 
     def close_extras(self, **kwargs: Any) -> None:
         """Nothing to free."""
-
-
-def _last_action(scene: Scene, size: int) -> np.ndarray:
-    """The action that led to a scene; at rest with an open gripper where it does not say."""
-    if scene.last_action is not None:
-        return np.asarray(scene.last_action, np.float32)
-    rest = np.zeros(size, np.float32)
-    rest[-1] = 1.0
-    return rest

@@ -1,0 +1,56 @@
+"""3D point world models as Gymnasium environments, each with a simulator-backed twin.
+
+>>> import gymnasium as gym
+>>> import pwm_gym
+>>> env = gym.make("pwm/PickCube-v0")  # the learned model; "pwm/PickCubeSim-v0" is its simulator twin
+>>> observation, info = env.reset(seed=0)
+>>> observation["points"].shape
+(1200, 3)
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+from pwm_gym.costs import register_cost, register_grasp, register_success, register_terms
+from pwm_gym.errors import CheckpointError, DatasetError, PwmGymError, SceneError, UnknownNameError
+from pwm_gym.registration import register_envs
+from pwm_gym.scene import Scene
+
+if TYPE_CHECKING:
+    from pwm_gym import data, dynamics, envs, evaluation, planning, tasks, viewer, wrappers
+
+__version__ = "0.1.0"
+__all__ = [
+    "CheckpointError",
+    "DatasetError",
+    "PwmGymError",
+    "Scene",
+    "SceneError",
+    "UnknownNameError",
+    "data",
+    "dynamics",
+    "envs",
+    "evaluation",
+    "planning",
+    "register_cost",
+    "register_grasp",
+    "register_success",
+    "register_terms",
+    "tasks",
+    "viewer",
+    "wrappers",
+]
+
+_SUBPACKAGES = ("data", "dynamics", "envs", "evaluation", "planning", "tasks", "viewer", "wrappers")
+
+
+def __getattr__(name: str) -> Any:
+    """Subpackages are imported when first used, so that ``import pwm_gym`` stays quick."""
+    if name in _SUBPACKAGES:
+        return importlib.import_module(f"pwm_gym.{name}")
+    raise AttributeError(f"module 'pwm_gym' has no attribute {name!r}")
+
+
+register_envs()

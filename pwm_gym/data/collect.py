@@ -12,8 +12,10 @@ import numpy as np
 from tqdm import tqdm
 
 from pwm_gym.data.episodes import KINDS, Episode, read_shard, write_atomically, write_shard
-from pwm_gym.data.policies import Behaviour, Demonstration, Practice
+from pwm_gym.data.policies import Behaviour, Demonstration, OnPolicy, Practice
+from pwm_gym.dynamics.checkpoint import load_checkpoint, resolve
 from pwm_gym.errors import DatasetError
+from pwm_gym.planning import Agent, MPPIConfig
 from pwm_gym.scene import sample_clouds
 from pwm_gym.seeds import RANGES
 from pwm_gym.sim import Simulator
@@ -24,6 +26,9 @@ __all__ = ["SCHEMA", "CollectConfig", "collect", "record_episode"]
 SCHEMA = 1
 _EXPERT_STEPS = 120  # a demonstration that has not succeeded by then ends; the slowest expert takes about 110
 _PRACTICE_STEPS = 80
+_PLANNED_STEPS = 60
+_PLANNED_SAMPLES = 100  # half of a planner's default: twice as many episodes, and its mistakes teach
+_KINDS = ("demonstration", "practice", "on_policy")
 
 
 @dataclass(frozen=True)
@@ -37,7 +42,14 @@ class CollectConfig:
     episodes: int = 1000
     """Training episodes; validation and test get a tenth as many each (at least 20)."""
     practice: float = 0.5
-    """Share of practice episodes; the rest are demonstrations."""
+    """Share of practice episodes; what is left of both shares are demonstrations."""
+    on_policy: float = 0.0
+    """Share of training episodes that a planner runs in the simulator with ``checkpoint``; it succeeds sooner than the
+    expert, so that they are short, but planning each takes half a minute."""
+    checkpoint: str = "default"
+    """Whose model plans the on-policy episodes: a folder or a shipped checkpoint's name."""
+    offset: int = 0
+    """First seed of each split, so that several data sets of a task share none."""
     randomise: float = 0.2
     """Share of demonstrations that switch to random actions at a random step (the paper's 20 %)."""
     workers: int = 2
@@ -50,7 +62,8 @@ class CollectConfig:
 class _Job:
     path: Path
     seeds: range
-    practice: bool
+    kind: str
+    """"demonstration", "practice" or "on_policy"."""
     config: CollectConfig
 
 
@@ -95,19 +108,20 @@ def _write_header(config: CollectConfig, task: Task) -> None:
 
 
 def _jobs(config: CollectConfig) -> Iterator[_Job]:
-    """Shards of all splits; demonstrations take a split's first half of seeds, practice the second."""
+    """Shards of all splits; each kind takes seeds of its own third of a split."""
     held_out = max(20, config.episodes // 10)
     counts = {"train": config.episodes, "validation": held_out, "test": held_out}
     for split, count in counts.items():
-        middle = len(RANGES[split]) // 2
+        planned = round(count * config.on_policy) if split == "train" else 0
         practice = round(count * config.practice)
-        for name, seeds in (
-            ("demonstration", RANGES[split][: count - practice]),
-            ("practice", RANGES[split][middle : middle + practice]),
+        third = len(RANGES[split]) // len(_KINDS)
+        for place, (kind, number) in enumerate(
+            zip(_KINDS, (count - practice - planned, practice, planned), strict=True)
         ):
-            for k in range(0, len(seeds), config.shard):
-                path = config.out / f"{split}-{name}-{k // config.shard:05d}.npz"
-                yield _Job(path, seeds[k : k + config.shard], name == "practice", config)
+            seeds = RANGES[split][place * third + config.offset :][:number]
+            for k in range(0, number, config.shard):
+                path = config.out / f"{split}-{kind}-{k // config.shard:05d}.npz"
+                yield _Job(path, seeds[k : k + config.shard], kind, config)
 
 
 def _is_whole(job: _Job, task: Task) -> bool:
@@ -140,14 +154,27 @@ def _collect_shard(job: _Job) -> int:
         _SIMULATORS[task.name] = task.simulator()
     simulator = _SIMULATORS[task.name]
 
-    def behaviour(seed: int) -> Behaviour:
-        rng = np.random.default_rng([seed, job.practice])
-        return Practice(task, rng) if job.practice else Demonstration(task, rng, randomise=job.config.randomise)
-
-    limit = _PRACTICE_STEPS if job.practice else _EXPERT_STEPS
-    episodes = [record_episode(simulator, seed, behaviour, limit) for seed in job.seeds]
+    limits = {"demonstration": _EXPERT_STEPS, "practice": _PRACTICE_STEPS, "on_policy": _PLANNED_STEPS}
+    behaviour = _behaviours(job, task)
+    episodes = [record_episode(simulator, seed, behaviour, limits[job.kind]) for seed in job.seeds]
     write_shard(job.path, episodes, {"format": "pwm_gym.episodes", "schema": SCHEMA, "task": task.name})
     return len(episodes)
+
+
+def _behaviours(job: _Job, task: Task) -> Callable[[int], Behaviour]:
+    """Who acts in the episode of a seed."""
+
+    def rng(seed: int) -> np.random.Generator:
+        return np.random.default_rng([seed, _KINDS.index(job.kind)])
+
+    if job.kind == "practice":
+        return lambda seed: Practice(task, rng(seed))
+    if job.kind == "demonstration":
+        return lambda seed: Demonstration(task, rng(seed), randomise=job.config.randomise)
+    checkpoint = load_checkpoint(resolve(job.config.checkpoint, task.name), task.name)
+    agent = Agent(checkpoint.model, task.name, MPPIConfig(samples=_PLANNED_SAMPLES, elites=32))
+    clouds = np.asarray(json.loads((job.config.out / "dataset.json").read_text())["clouds"], np.float32)
+    return lambda seed: OnPolicy(task, agent, clouds, seed)
 
 
 def record_episode(

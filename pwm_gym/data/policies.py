@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
 
+from pwm_gym.planning import Agent
+from pwm_gym.scene import Scene
 from pwm_gym.sim import Simulator
 from pwm_gym.tasks import Expert, Task
 
-__all__ = ["Behaviour", "Demonstration", "Practice"]
+__all__ = ["Behaviour", "Demonstration", "OnPolicy", "Practice"]
 
 
 class Behaviour(Protocol):
@@ -143,6 +146,47 @@ class Practice:
             return np.clip(mean + noise, -1, 1).astype(np.float32)
 
         return act
+
+
+class OnPolicy:
+    """A planner's own run in the simulator: what the model's mistakes lead to.
+
+    Args:
+        task: the task.
+        agent: plans.
+        clouds: canonical points (N, 3) of the data set.
+        seed: of the planner's noise.
+        linger: steps that it goes on after success.
+    """
+
+    kind = "on_policy"
+    switch = -1
+
+    def __init__(self, task: Task, agent: Agent, clouds: np.ndarray, seed: int, linger: int = 5) -> None:
+        self._task, self._agent, self._clouds, self._linger = task, agent, clouds, linger
+        self._poses: deque[np.ndarray] = deque(maxlen=3)  # newest first
+        self._last: np.ndarray | None = None
+        agent.reset(seed)
+
+    def act(self, simulator: Simulator) -> np.ndarray:
+        """Next action (A,)."""
+        poses = simulator.poses()
+        self._poses.appendleft(poses)
+        scene = Scene(
+            self._task.name,
+            self._task.layout,
+            self._clouds,
+            np.stack([self._poses[min(k, len(self._poses) - 1)] for k in range(3)]),
+            simulator.goal(),
+            last_action=self._last,
+        )
+        self._last = self._agent.act(scene).astype(np.float32)
+        return self._last
+
+    def done(self, success: bool) -> bool:
+        """Whether it has lingered long enough after success."""
+        self._linger -= success
+        return self._linger < 0
 
 
 def _uniform(rng: np.random.Generator, size: int) -> np.ndarray:

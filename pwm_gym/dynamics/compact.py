@@ -75,7 +75,7 @@ class CompactModel(nn.Module):
         self._free = [i for i, e in enumerate(layout) if not e.effector]
         c, sliders = self.config, len(effector.sliding)
         self.point_net = nn.Sequential(
-            nn.Linear(5, c.point_width), nn.GELU(), nn.Linear(c.point_width, c.point_width)
+            nn.Linear(5, c.point_width), nn.ReLU(), nn.Linear(c.point_width, c.point_width)
         )
         context = 7 + 18 + 4 * sliders  # see _context
         self.token = nn.Linear(2 * c.point_width + 24 + context, c.width)

@@ -57,7 +57,7 @@ class Batches(Protocol):
 class TrainConfig:
     """How to train. The defaults train the compact model; :meth:`paper` gives the paper's table."""
 
-    phases: tuple[tuple[int, int, int], ...] = ((1, 9000, 512), (5, 2500, 256), (15, 900, 192))
+    phases: tuple[tuple[int, int, int], ...] = ((1, 6000, 512), (5, 1200, 256), (15, 500, 192))
     """(horizon H, optimiser steps, batch size), one after the other."""
     learning_rate: float = 1.5e-3
     """AdamW's, at its highest."""
@@ -135,47 +135,37 @@ class _RolloutLoss(nn.Module):
 
 def rollout_loss(model: WorldModel, batch: Batch, config: TrainConfig) -> Tensor:
     """Mean Huber loss over H predicted steps, on per-point velocities (and positions), in ``loss_scale`` units."""
-    layout = model.layout
-    read = [e.start + k for e in layout for k in range(min(config.loss_points, e.points))]
-    weight = torch.ones(len(read), 1, device=batch.frames.device)
-    effector = [layout.entities[i].effector for i in layout.ids[read]]
-    weight[~torch.tensor(effector, device=weight.device)] = config.object_weight
-    weight = weight / weight.mean()
-    state: State = model.prepare(batch.state(layout))
-    truth = batch.frames[:, 0]
+    state: State = model.prepare(batch.state(model.layout))
+    if isinstance(state, RigidState):
+        state = state.coarsen(model.layout.truncate(config.loss_points))
+    target = RigidState(state.layout, state.clouds, batch.frames)
+    weight = _point_weights(state.layout, config.object_weight, batch.frames.device)
     terms = []
-    for h in range(batch.actions.shape[1]):
-        before = state
-        state = model.step(state, batch.actions[:, h])
-        target = _at(layout, batch.clouds, batch.following[:, h], read)
-        previous = _at(layout, batch.clouds, truth, read)
-        truth = batch.following[:, h]
-        position, last = _read(state, read), _read(before, read)
-        error = ((position - last) - (target - previous)) / config.loss_scale
-        term = (_huber(error, config.huber_delta) * weight).mean()
+    points, truth = state.points(), target.points()
+    for action, poses in zip(batch.actions.unbind(1), batch.following.unbind(1), strict=True):
+        state, target = model.step(state, action), target.advance(poses)
+        next_points, next_truth = state.points(), target.points()
+        velocity_error = (next_points - points) - (next_truth - truth)
+        term = _huber(velocity_error, config, weight)
         if config.position_weight:
-            drift = (position - target) / config.loss_scale
-            term = term + config.position_weight * (_huber(drift, config.huber_delta) * weight).mean()
+            term = term + config.position_weight * _huber(next_points - next_truth, config, weight)
         terms.append(term)
+        points, truth = next_points, next_truth
     return torch.stack(terms).mean()
 
 
-def _huber(error: Tensor, delta: float) -> Tensor:
-    return F.huber_loss(error, torch.zeros_like(error), reduction="none", delta=delta)
+def _point_weights(layout: Layout, object_weight: float, device: torch.device) -> Tensor:
+    """Weights (N, 1) of mean 1: entities that the robot does not drive count ``object_weight`` times as much."""
+    driven = torch.tensor([e.effector for e in layout.entities], device=device)[torch.as_tensor(layout.ids)]
+    weight = torch.where(driven, 1.0, object_weight).unsqueeze(-1)
+    return weight / weight.mean()
 
 
-def _at(layout: Layout, clouds: Tensor, poses: Tensor, read: list[int]) -> Tensor:
-    """Points ``read`` (B, n, 3) of true poses (B, E, 4, 4)."""
-    ids = torch.as_tensor(layout.ids[read], device=poses.device)
-    pose = poses[:, ids]
-    return (pose[..., :3, :3] @ clouds[:, read].unsqueeze(-1)).squeeze(-1) + pose[..., :3, 3]
-
-
-def _read(state: State, read: list[int]) -> Tensor:
-    """Points ``read`` (B, n, 3) of a state, without forming the others where it is rigid."""
-    if isinstance(state, RigidState):
-        return _at(state.layout, state.clouds, state.poses(), read)
-    return state.points()[:, read]
+def _huber(error: Tensor, config: TrainConfig, weight: Tensor) -> Tensor:
+    """Weighted mean Huber loss of errors (B, N, 3) in metres."""
+    scaled = error / config.loss_scale
+    zero = torch.zeros_like(scaled)
+    return (F.huber_loss(scaled, zero, reduction="none", delta=config.huber_delta) * weight).mean()
 
 
 def train(
@@ -187,7 +177,7 @@ def train(
     save: Callable[[nn.Module, dict[str, float]], None],
     progress: bool = True,
 ) -> dict[str, float]:
-    """Train ``model`` and return the last validation's metrics.
+    """Train ``model`` and return the last validation's metrics (empty in all processes but the first).
 
     Args:
         model: a world model; it is changed in place and holds the averaged weights at the end.
@@ -211,7 +201,7 @@ def train(
             if run.step % config.validate_every == 0 or run.step == config.steps:
                 metrics = run.checkpoint(validate, save)
     run.finish()
-    return metrics or validate(model)
+    return metrics
 
 
 class _Run:

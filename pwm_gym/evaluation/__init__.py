@@ -1,0 +1,20 @@
+"""Metrics, tables and floors. They receive models, data sets, environments or simulators as arguments."""
+
+from pwm_gym.evaluation.metrics import chamfer, pearson
+from pwm_gym.evaluation.planning import planning_table, run_episodes, wilson
+from pwm_gym.evaluation.record import write_results
+from pwm_gym.evaluation.report import evaluate_rollouts
+from pwm_gym.evaluation.rollouts import long_rollouts, predict, validation_metrics
+
+__all__ = [
+    "chamfer",
+    "evaluate_rollouts",
+    "long_rollouts",
+    "pearson",
+    "planning_table",
+    "predict",
+    "run_episodes",
+    "validation_metrics",
+    "wilson",
+    "write_results",
+]

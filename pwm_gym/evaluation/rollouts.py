@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -11,10 +12,10 @@ from torch import Tensor
 from pwm_gym.data.dataset import Dataset
 from pwm_gym.data.episodes import Episode
 from pwm_gym.dynamics.model import WorldModel
-from pwm_gym.scene import RigidState, State, stack
+from pwm_gym.scene import RigidState, State, batch_state, stack
 from pwm_gym.scene.se3 import matrix_from_pose7, rotation_angle
 
-__all__ = ["OBSERVED", "Rollouts", "predict", "validation_metrics"]
+__all__ = ["OBSERVED", "Rollouts", "long_rollouts", "predict", "validation_metrics"]
 
 OBSERVED = 3
 """Clouds that a model sees before it predicts."""
@@ -118,6 +119,34 @@ def rotation_errors(rollouts: Rollouts, entity: int) -> Tensor:
     """Angle (M, H) in degrees between predicted and true orientation of an entity; NaN past an episode's end."""
     angle = rotation_angle(rollouts.poses[:, :, entity, :3, :3], rollouts.truth[:, :, entity, :3, :3])
     return torch.rad2deg(angle).masked_fill(~rollouts.mask, torch.nan)
+
+
+@torch.no_grad()
+def long_rollouts(model: WorldModel, dataset: Dataset, steps: int = 300, seed: int = 0) -> dict[str, Any]:
+    """Rollouts from the initial scenes of ``dataset``, before any clipping.
+
+    Under zero actions a resting arm and an untouched object rest in the simulator too (its controller tracks the
+    present pose), so that what moved is the error; fingers shut to the controller's zero.
+
+    Returns:
+        ``zero_actions_mm``: how far each entity but sliding links ends from its start, largest of all scenes.
+        ``random_actions_m``: largest distance of any entity from the base under uniformly random actions.
+        ``finite``: whether every pose was.
+    """
+    layout = dataset.layout
+    start: State = model.prepare(batch_state([dataset.scene(e) for e in dataset.episodes]))
+    generator = torch.Generator().manual_seed(seed)
+    count, finite, far = len(dataset.episodes), True, 0.0
+    still = wild = start
+    for _ in range(steps):
+        still = model.step(still, torch.zeros(count, model.action_size))
+        noise = torch.rand(count, model.action_size, generator=generator)
+        wild = model.step(wild, 2.0 * noise - 1.0)
+        finite = finite and bool(torch.isfinite(still.frames).all() and torch.isfinite(wild.frames).all())
+        far = max(far, float(wild.poses()[..., :3, 3].norm(dim=-1).max()))
+    moved = (still.poses() - start.poses())[..., :3, 3].norm(dim=-1).amax(0) * 1e3
+    gaps = {e.name: float(m) for e, m in zip(layout, moved, strict=True) if e.slider is None}
+    return {"steps": steps, "zero_actions_mm": gaps, "random_actions_m": far, "finite": finite}
 
 
 def validation_metrics(model: WorldModel, dataset: Dataset) -> dict[str, float]:

@@ -36,8 +36,8 @@ class ManiSkillSimulator:
         goal: str,
         control_mode: str = "pd_ee_delta_pose",
     ) -> None:
-        self._env = _make(task, control_mode)
-        self._base: Any = self._env.unwrapped
+        self.env = _make(task, control_mode)
+        self._base: Any = self.env.unwrapped
         robot = self._base.agent.robot
         links = {link.name: link for link in robot.get_links()}
         self._links = {name for name, body in bodies.items() if body in links}
@@ -46,7 +46,7 @@ class ManiSkillSimulator:
         self._goal = self._base.scene.actors[goal]
         self._robot = robot
         self._world = _pose7(robot.get_links()[0]._objs[0].entity.pose)  # the base in the simulator's world
-        self.action_size = int(np.prod(self._env.action_space.shape))
+        self.action_size = int(np.prod(self.env.action_space.shape))
 
     def meshes(self) -> dict[str, trimesh.Trimesh]:
         """Collision surfaces, in each entity's own frame (metres)."""
@@ -54,7 +54,7 @@ class ManiSkillSimulator:
 
     def reset(self, seed: int) -> None:
         """Start the episode of ``seed``."""
-        self._env.reset(seed=int(seed))
+        self.env.reset(seed=int(seed))
 
     def restore(self, scene: Scene) -> None:
         """Put robot, objects and goal where ``scene`` says, with the velocities that its poses tell.
@@ -67,7 +67,7 @@ class ManiSkillSimulator:
         import sapien
         import torch
 
-        self._env.reset(seed=0)
+        self.env.reset(seed=0)
         self._robot.set_qpos(torch.as_tensor(scene.joints, dtype=torch.float32)[None])
         self._robot.set_qvel(torch.as_tensor(scene.joint_velocities, dtype=torch.float32)[None])
         goal = _compose(self._world, np.r_[scene.goal, 1, 0, 0, 0])
@@ -92,7 +92,7 @@ class ManiSkillSimulator:
 
     def step(self, action: np.ndarray) -> SimOutcome:
         """Apply an action (A,) in [-1, 1] for one control step."""
-        _, reward, _, _, info = self._env.step(np.asarray(action, dtype=np.float32))
+        _, reward, _, _, info = self.env.step(np.asarray(action, dtype=np.float32))
         return _outcome(reward, info)
 
     def outcome(self) -> SimOutcome:
@@ -119,9 +119,9 @@ class ManiSkillSimulator:
 
     def close(self) -> None:
         """Free the simulator; calling it twice is harmless."""
-        if self._env is not None:
-            self._env.close()
-            self._env = None
+        if self.env is not None:
+            self.env.close()
+            self.env = None
 
 
 def _make(task: str, control_mode: str) -> Any:

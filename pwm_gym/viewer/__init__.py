@@ -1,0 +1,23 @@
+"""Pictures of clouds: a NumPy splat renderer, and the world model beside its simulator."""
+
+from pwm_gym.viewer.camera import Camera, frame_camera, tabletop_camera
+from pwm_gym.viewer.palette import BACKGROUND, GOAL, PREDICTED, TRUE, entity_colors, tint
+from pwm_gym.viewer.splat import render
+from pwm_gym.viewer.twin import TwinRecord, twin_frame, write_gif, write_png
+
+__all__ = [
+    "BACKGROUND",
+    "GOAL",
+    "PREDICTED",
+    "TRUE",
+    "Camera",
+    "TwinRecord",
+    "entity_colors",
+    "frame_camera",
+    "render",
+    "tabletop_camera",
+    "tint",
+    "twin_frame",
+    "write_gif",
+    "write_png",
+]

@@ -12,7 +12,8 @@ from pwm_gym.errors import PwmGymError
 __all__ = ["Camera", "check_points", "frame_camera", "tabletop_camera"]
 
 _NEAR = 0.01  # metres; nearer points are not drawn
-_WORKSPACE = np.array([[0.45, -0.2, 0.0], [0.8, 0.2, 0.35]])  # corners of the PickCube work area, metres
+# Corners (8, 3) of the PickCube work area, metres.
+_WORKSPACE = np.array([[x, y, z] for x in (0.45, 0.8) for y in (-0.2, 0.2) for z in (0.0, 0.35)])
 
 
 @dataclass(frozen=True)
@@ -65,8 +66,8 @@ class Camera:
     def project(self, points: np.ndarray) -> np.ndarray:
         """Pixel coordinates and depth (N, 3) of world points (N, 3).
 
-        Columns are u (right) and v (down) in pixels from the upper left corner of the image, and the depth along the
-        line of sight in metres. u and v are NaN for points behind the camera or within 1 cm of it.
+        Columns are u (right) and v (down) in pixels from the upper left corner of the image, and depth along
+        the line of sight in metres. u and v are NaN for points behind the camera or within 1 cm of it.
         """
         seen = (np.asarray(points, dtype=np.float64) - self.eye) @ self.axes.T
         depth = seen[:, 2]
@@ -76,7 +77,7 @@ class Camera:
         )
 
     def rays(self) -> np.ndarray:
-        """Directions (H, W, 3) through the pixels' centres, world frame, of unit length along the line of sight."""
+        """Directions (H, W, 3) through the pixels' centres, world frame, of unit depth."""
         u = (np.arange(self.width) + 0.5 - 0.5 * self.width) / self.focal
         v = (np.arange(self.height) + 0.5 - 0.5 * self.height) / self.focal
         return u[None, :, None] * self.axes[0] + v[:, None, None] * self.axes[1] + self.axes[2]
@@ -136,7 +137,7 @@ def frame_camera(
     probe = Camera(eye=_triple(back), target=(0.0, 0.0, 0.0), fov=fov, width=width, height=height)
     slope = (1 - 2 * margin) * np.array([width, height]) / (2 * probe.focal)  # tangents of the half angles
     seen = corners @ probe.axes.T  # right, down, along the line of sight
-    # The frustum's four sides each give the nearest admissible apex; opposite sides share the free space evenly.
+    # Each of the frustum's four sides gives its nearest admissible apex; opposite sides share what is free.
     high = (seen[:, :2] - slope * seen[:, 2:]).max(0)
     low = (-seen[:, :2] - slope * seen[:, 2:]).max(0)
     centre, needed = (high - low) / 2, (high + low) / (2 * slope)
@@ -148,7 +149,7 @@ def frame_camera(
 
 
 def tabletop_camera(width: int = 320, height: int = 320) -> Camera:
-    """The default view of a Panda's work area on the table (x 0.45-0.8, y -0.2-0.2, z 0-0.35 m, base frame)."""
+    """Default view of a Panda's work area: x 0.45 to 0.8, y -0.2 to 0.2, z 0 to 0.35 m, base frame."""
     return frame_camera(width=width, height=height)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
+from PIL import Image
 
 from pwm_gym.viewer.camera import Camera
 from pwm_gym.viewer.palette import GOAL, Color
@@ -30,18 +31,35 @@ def draw_ground(
     """Image (H, W, 3) float32 of 1: what lies behind points (N, 3) of a ``radius`` in metres."""
     if height is None:
         size = (camera.height, camera.width, 3)
-        return np.broadcast_to(np.float32(background) / 255, size).copy()
+        return np.broadcast_to(np.array(background, dtype=np.float32) / 255, size).copy()
     table, plane, pixel = _table(camera, background, height)
     image = table.copy()
-    _darken(image, plane, points[points[:, 2] > height - radius], radius, height)
+    shadow = _shadow(points[points[:, 2] > height - radius], radius, height)
+    if shadow is not None:
+        texture, low, cell = shadow
+        area = _area(camera, low, low + (np.array(texture.shape) - 1) * cell, height)
+        alpha = _warp(texture, low, cell, camera, height, area) * np.isfinite(pixel[area])
+        image[area] += (_SHADOW - image[area]) * alpha[..., None]
     if goal is not None:
-        _ring(image, plane, pixel, goal[:2], goal_radius)
+        area = _area(camera, goal[:2] - 1.5 * goal_radius, goal[:2] + 1.5 * goal_radius, height)
+        _ring(image[area], plane[area], pixel[area], goal[:2], goal_radius)
     return image
+
+
+def _area(camera: Camera, low: np.ndarray, high: np.ndarray, height: float) -> tuple[slice, slice]:
+    """Rows and columns of the image that hold the table's rectangle from ``low`` to ``high``, (2,) metres."""
+    corners = np.array([[x, y, height] for x in (low[0], high[0]) for y in (low[1], high[1])])
+    seen = camera.project(corners)[:, :2]
+    if not np.isfinite(seen).all():  # it reaches behind the camera
+        return slice(None), slice(None)
+    left, top = np.clip(np.floor(seen.min(0)), 0, (camera.width, camera.height)).astype(int)
+    right, bottom = np.clip(np.ceil(seen.max(0)), 0, (camera.width, camera.height)).astype(int)
+    return slice(top, bottom), slice(left, right)
 
 
 @lru_cache(maxsize=8)
 def _table(camera: Camera, background: Color, height: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The empty table (H, W, 3), each pixel's place on it (H, W, 2) and size on it (H, W), metres (NaN: none)."""
+    """The empty table (H, W, 3); each pixel's place (H, W, 2) and size (H, W) on it, metres (NaN: none)."""
     rays = camera.rays()
     drop = height - camera.eye[2]
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -54,7 +72,7 @@ def _table(camera: Camera, background: Color, height: float) -> tuple[np.ndarray
     reach = np.linalg.norm(np.subtract(camera.target, camera.eye)) * np.tan(np.radians(camera.fov) / 2)
     fade = np.nan_to_num(np.exp(-((focus / (1.9 * reach)) ** 4)))[..., None]
     image = _TABLE + (_LINE - _TABLE) * _grid(plane, pixel)[..., None]
-    image = np.float32(background) / 255 * (1 - fade) + np.nan_to_num(image) * fade
+    image = np.array(background, dtype=np.float32) / 255 * (1 - fade) + np.nan_to_num(image) * fade
     return image.astype(np.float32), plane.astype(np.float32), pixel.astype(np.float32)
 
 
@@ -68,13 +86,16 @@ def _grid(plane: np.ndarray, pixel: np.ndarray) -> np.ndarray:
     return strength
 
 
-def _darken(image: np.ndarray, plane: np.ndarray, points: np.ndarray, radius: float, height: float) -> None:
-    """Soft shadows of points straight above the table: small and dark at contact, wide and faint from above."""
+def _shadow(points: np.ndarray, radius: float, height: float) -> tuple[np.ndarray, np.ndarray, float] | None:
+    """Opacity texture (h, w) of the shadows straight below points, its corner (2,) and cell size in metres.
+
+    Small and dark at contact, wide and faint from above.
+    """
     if not len(points):
-        return
+        return None
     low, high = points[:, :2].min(0) - 0.08, points[:, :2].max(0) + 0.08
     cell = max(0.004, float((high - low).max()) / _CELLS)
-    shape = tuple(int(n) for n in np.ceil((high - low) / cell).astype(int) + 1)
+    shape = tuple(int(n) for n in np.ceil((high - low) / cell) + 1)
     place = ((points[:, :2] - low) / cell + 0.5).astype(int)
     flat = place[:, 0] * shape[1] + place[:, 1]
     over = np.maximum(points[:, 2] - height, 0)
@@ -84,44 +105,52 @@ def _darken(image: np.ndarray, plane: np.ndarray, points: np.ndarray, radius: fl
     for weight, blur in ((contact, 0.006), (0.55 * np.exp(-over / 0.30) * (1 - contact), 0.020)):
         mass = np.bincount(flat, weight, shape[0] * shape[1]).reshape(shape)
         dark += share * _blur(mass, blur / cell)
-    texture = (0.50 * (1 - np.exp(-0.6 * dark))).astype(np.float32)
-    _apply(image, plane, texture, low, cell)
+    return (0.50 * (1 - np.exp(-0.6 * dark))).astype(np.float32), low, cell
 
 
 def _blur(texture: np.ndarray, sigma: float) -> np.ndarray:
     """Gaussian blur (h, w) with a standard deviation in cells."""
-    reach = max(1, int(np.ceil(3 * sigma)))
-    kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / max(sigma, 1e-3)) ** 2)
-    kernel /= kernel.sum()
     for axis in (0, 1):
-        width = [(0, 0), (0, 0)]
-        width[axis] = (reach, reach)
-        padded = np.pad(texture, width)
-        size = texture.shape[axis]
-        texture = sum(
-            (k * padded.take(range(i, i + size), axis) for i, k in enumerate(kernel)), np.zeros(texture.shape)
-        )
+        place = np.arange(texture.shape[axis], dtype=np.float64)
+        kernel = np.exp(-0.5 * ((place[:, None] - place) / max(sigma, 1e-3)) ** 2)
+        kernel /= kernel.sum(1).max()
+        texture = kernel @ texture if axis == 0 else texture @ kernel
     return texture
 
 
-def _apply(image: np.ndarray, plane: np.ndarray, texture: np.ndarray, low: np.ndarray, cell: float) -> None:
-    """Darken the pixels of ``image`` by the shadow texture (h, w) at their place on the table (bilinear)."""
-    with np.errstate(invalid="ignore"):
-        at = (plane - low.astype(np.float32)) / np.float32(cell)
-        inside = ((at >= 0) & (at < np.array(texture.shape) - 1)).all(-1)
-    at = at[inside]
-    corner = at.astype(np.int64)
-    a, b = (at - corner).T
-    i, j = corner.T
-    top = texture[i, j] * (1 - b) + texture[i, j + 1] * b
-    bottom = texture[i + 1, j] * (1 - b) + texture[i + 1, j + 1] * b
-    alpha = (top * (1 - a) + bottom * a)[:, None]
-    image[inside] = image[inside] * (1 - alpha) + _SHADOW * alpha
+def _warp(
+    texture: np.ndarray,
+    low: np.ndarray,
+    cell: float,
+    camera: Camera,
+    height: float,
+    area: tuple[slice, slice],
+) -> np.ndarray:
+    """The table's texture (h, w) as the camera sees it in ``area``: a homography, sampled by Pillow."""
+    top, bottom, _ = area[0].indices(camera.height)
+    left, right, _ = area[1].indices(camera.width)
+    right_axis, down, forward = camera.axes
+    corner = (
+        (left - camera.width / 2) * right_axis + (top - camera.height / 2) * down + camera.focal * forward
+    )
+    ray = np.stack(
+        [right_axis, down, corner], 1
+    )  # columns: of (u, v, 1), the pixel counted from the area's corner
+    start = (np.array(camera.eye[:2]) - low) / cell + 0.5
+    x, y = (start[i] * ray[2] + (height - camera.eye[2]) / cell * ray[i] for i in (0, 1))
+    terms = np.concatenate([y, x, ray[2]]) / (ray[2, 2] or 1e-9)
+    image = Image.fromarray(texture).transform(
+        (right - left, bottom - top),
+        Image.Transform.PERSPECTIVE,
+        terms[:8].tolist(),
+        Image.Resampling.BILINEAR,
+    )
+    return np.asarray(image)
 
 
 def _ring(image: np.ndarray, plane: np.ndarray, pixel: np.ndarray, centre: np.ndarray, radius: float) -> None:
     """A thin green ring on the table below the goal."""
-    distance = np.linalg.norm(plane - centre.astype(np.float32), axis=-1)
+    distance = np.hypot(plane[..., 0] - np.float32(centre[0]), plane[..., 1] - np.float32(centre[1]))
     alpha = np.nan_to_num(np.clip(1.4 - np.abs(distance - radius) / pixel, 0, 1))
     alpha = np.maximum(0.75 * alpha, 0.12 * (distance < radius))[..., None]
-    image[:] = image * (1 - alpha) + np.float32(GOAL) / 255 * alpha
+    image[:] = image * (1 - alpha) + np.array(GOAL, dtype=np.float32) / 255 * alpha

@@ -1,0 +1,41 @@
+# Two commands on a fresh machine: `make demo` and `make test`. Both install what they need into .venv.
+VENV ?= .venv
+PYTHON ?= $(shell command -v python3.11 || command -v python3)
+BIN = $(abspath $(VENV))/bin
+SOURCES = $(shell find pwm_gym envs wrappers -type f -not -name '*.pyc')
+export OMP_NUM_THREADS ?= 2
+
+.PHONY: demo test test-all lint install clean
+
+install: $(VENV)/.package
+
+$(VENV)/.dependencies: pyproject.toml constraints.txt
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/pip install -q --disable-pip-version-check -c constraints.txt torch
+	$(BIN)/pip install -q --disable-pip-version-check -c constraints.txt '.[dev]'
+	$(BIN)/pip uninstall -q -y pwm-gym
+	touch $@
+
+# The package itself is installed as a wheel, so that the tests see what a user gets.
+$(VENV)/.package: $(VENV)/.dependencies $(SOURCES) pyproject.toml
+	rm -rf build
+	$(BIN)/pip install -q --disable-pip-version-check --no-deps --force-reinstall .
+	rm -rf build *.egg-info
+	touch $@
+
+demo: $(VENV)/.package
+	$(BIN)/pwm-gym demo
+
+lint: $(VENV)/.package
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	cd tests && $(BIN)/mypy --config-file ../pyproject.toml -p pwm_gym
+
+test: lint
+	$(BIN)/pytest
+
+test-all: lint
+	$(BIN)/pytest -m 'slow or not slow'
+
+clean:
+	rm -rf $(VENV) build *.egg-info demo .mypy_cache .ruff_cache .pytest_cache

@@ -1,0 +1,152 @@
+"""The learned world model as a Gymnasium environment: a batch of one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.utils import EzPickle
+from gymnasium.vector import AutoresetMode
+from torch import Tensor
+
+from pwm_gym.envs.common import check_actions
+from pwm_gym.envs.model_vector_env import ModelVectorEnv
+from pwm_gym.scene import Entity, Scene, State
+
+__all__ = ["ModelEnv"]
+
+
+class ModelEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
+    """
+    ## Description
+    A learned 3D point world model. An episode starts from a scene of the checkpoint's own bank (no simulator is
+    needed) or from a given one, and every ``step`` predicts the completed point cloud one control step (0.05 s) later.
+
+    ## Action space
+    `Box(-1, 1, (7,), float32)` for the Panda tasks (ManiSkill's `pd_ee_delta_pose`, in the robot base's frame):
+
+    | index | meaning | unit of 1.0 |
+    |---|---|---|
+    | 0-2 | translation of the tool | 0.1 m asked for; the arm lags and makes about a third in one step |
+    | 3-5 | rotation of the tool, about x, y, z | -0.1 rad (the controller's sign) |
+    | 6 | gripper, absolute | 1 open, -1 shut |
+
+    ## Observation space
+    `Dict`, float32, robot base's frame; `env.unwrapped.entities` names the slices of N:
+
+    | key | shape | meaning |
+    |---|---|---|
+    | points | (N, 3) | x_t in metres |
+    | velocity | (N, 3) | x_t - x_{t-1}, metres a step |
+    | previous_velocity | (N, 3) | x_{t-1} - x_{t-2} |
+    | goal | (G,) | the task's goal, metres |
+
+    ## Reward
+    Minus the registered cost (`cost=`), by default the port of the simulator's own shaped reward to clouds.
+
+    ## Starting state
+    A random scene of the checkpoint's bank, at rest; or `reset(options={"scene": scene})`.
+
+    ## Episode end
+    Success terminates. A prediction that leaves the bounds truncates with `info["reason"] == "left the bounds"`;
+    only the returned observation is clipped. `gym.make` adds the time limit.
+
+    ## Info
+    `success`, `grasped`, `cost_terms` (the cost's weighted terms by name), `reason`.
+
+    ## Arguments
+    Those of :class:`pwm_gym.envs.ModelVectorEnv` but for `num_envs`, the time limit and autoreset.
+
+    ## Version history
+    * v0: initial release.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 20}  # noqa: RUF012
+
+    def __init__(
+        self,
+        task: str = "PickCube",
+        checkpoint: str = "default",
+        cost: str | Callable[..., Tensor] | None = None,
+        grasp: str | None = None,
+        device: str = "cpu",
+        points: int | None = None,
+        render_mode: str | None = None,
+    ) -> None:
+        EzPickle.__init__(self, task, checkpoint, cost, grasp, device, points, render_mode)
+        self.vector = ModelVectorEnv(
+            task,
+            num_envs=1,
+            checkpoint=checkpoint,
+            cost=cost,
+            grasp=grasp,
+            device=device,
+            points=points,
+            render_mode=render_mode,
+            autoreset_mode=AutoresetMode.DISABLED,
+        )
+        self.render_mode = render_mode
+        self.task, self.model, self.rules = self.vector.task, self.vector.model, self.vector.rules
+        self.action_space = self.vector.single_action_space
+        self.observation_space = self.vector.single_observation_space
+
+    @property
+    def entities(self) -> tuple[Entity, ...]:
+        """Entities and their slices of the points."""
+        return self.vector.entities
+
+    @property
+    def state(self) -> State:
+        """The present state (1,)."""
+        return self.vector.state
+
+    @property
+    def goal(self) -> Tensor:
+        """Goal (1, G)."""
+        return self.vector.goal
+
+    def scene(self) -> Scene:
+        """The present scene, velocities included: what ``reset(options={"scene": ...})`` takes."""
+        return self.vector.scene()
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+        """Start an episode; ``options["scene"]`` gives its scene."""
+        super().reset(seed=seed)
+        observation, info = self.vector.reset(seed=seed, options=options)
+        return _first(observation), _first_info(info)
+
+    def step(
+        self, action: np.ndarray
+    ) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
+        """One control step under an action (A,) in [-1, 1]."""
+        batch = check_actions(action, self.action_space.shape or ()).unsqueeze(0)
+        self.vector.resume()
+        observation, reward, terminated, truncated, info = self.vector.step(batch)
+        done = bool(terminated[0]), bool(truncated[0])
+        return _first(observation), float(reward[0]), *done, _first_info(info)
+
+    def render(self) -> np.ndarray | None:  # type: ignore[override]
+        """A picture (H, W, 3) uint8 with ``render_mode="rgb_array"``."""
+        pictures = self.vector.render()
+        return None if pictures is None else pictures[0]
+
+
+def _first(batch: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    return {name: value[0] for name, value in batch.items()}
+
+
+def _first_info(info: dict[str, Any]) -> dict[str, Any]:
+    """Plain values of the first environment, without the vector's masks."""
+    out: dict[str, Any] = {}
+    for name, value in info.items():
+        if name.startswith("_") and name[1:] in info:
+            continue
+        if isinstance(value, dict):
+            out[name] = _first_info(value)
+        else:
+            out[name] = value[0].item() if isinstance(value[0], np.generic) else value[0]
+    return out

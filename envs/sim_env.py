@@ -1,0 +1,196 @@
+"""The simulator as an environment with the model's spaces: its twin."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import torch
+from gymnasium.utils import EzPickle
+from torch import Tensor
+
+from pwm_gym.envs.common import Judgement, Rules, check_actions, last_action, observation_space, observe
+from pwm_gym.envs.rendering import SceneRenderer
+from pwm_gym.errors import PwmGymError, unknown_name
+from pwm_gym.scene import Entity, RigidState, Scene, batch_state, resample_clouds, sample_clouds
+from pwm_gym.seeds import RANGES
+from pwm_gym.sim import SimOutcome, Simulator
+from pwm_gym.tasks import get_task
+
+__all__ = ["SimEnv"]
+
+_OBSERVATIONS = ("complete",)
+
+
+class SimEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
+    """
+    ## Description
+    The simulator-backed twin of a model environment: the same task, spaces and meaning of actions, with clouds sampled
+    on the simulator's own meshes ("complete" observation).
+
+    ## Action space
+    As in :class:`pwm_gym.envs.ModelEnv`.
+
+    ## Observation space
+    As in :class:`pwm_gym.envs.ModelEnv`.
+
+    ## Reward
+    Minus the registered cost on the true clouds; the simulator's own is in `info["simulator_reward"]`.
+
+    ## Starting state
+    The simulator's initial distribution; `reset(seed=s)` is the simulator's episode of seed s. A scene with joint
+    positions (`env.unwrapped.scene()` of this environment) starts there with `reset(options={"scene": scene})`.
+
+    ## Episode end
+    The simulator's own success terminates; `gym.make` adds the time limit.
+
+    ## Info
+    `success` (the simulator's), `grasped`, `cost_terms`, `reason`, `simulator_reward`, `simulator_grasped`.
+
+    ## Arguments
+    * `task`: registered task. * `cost`: a registered cost or a callable. * `grasp`: a registered grasp rule.
+    * `observation`: "complete". * `points`: points of a scene in all. * `render_mode`: None or "rgb_array".
+
+    ## Version history
+    * v0: initial release.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 20}  # noqa: RUF012
+
+    def __init__(
+        self,
+        task: str = "PickCube",
+        cost: str | Callable[..., Tensor] | None = None,
+        grasp: str | None = None,
+        observation: str = "complete",
+        points: int | None = None,
+        render_mode: str | None = None,
+    ) -> None:
+        EzPickle.__init__(self, task, cost, grasp, observation, points, render_mode)
+        if observation not in _OBSERVATIONS:
+            raise unknown_name("observation", observation, _OBSERVATIONS)
+        if render_mode not in (None, *self.metadata["render_modes"]):
+            raise unknown_name("render mode", str(render_mode), self.metadata["render_modes"])
+        self.task, self.render_mode = get_task(task), render_mode
+        self.layout = self.task.layout if points is None else self.task.layout.resize(points)
+        self.rules = Rules(self.task, cost, grasp)
+        self.action_space = gym.spaces.Box(-1.0, 1.0, (self.task.action_size,), np.float32)
+        self.observation_space = observation_space(self.layout, self.task.goal_size)
+        self.simulator: Simulator = self.task.simulator()
+        self._full_clouds = sample_clouds(self.simulator.meshes(), self.task.layout, self.task.cloud_seed)
+        self._scene: Scene | None = None
+        self._poses: deque[np.ndarray] = deque(maxlen=3)  # newest first
+        self._action = np.zeros(self.task.action_size, np.float32)
+        self._renderer: SceneRenderer | None = None
+
+    @property
+    def entities(self) -> tuple[Entity, ...]:
+        """Entities and their slices of the points."""
+        return self.layout.entities
+
+    @property
+    def state(self) -> RigidState:
+        """The present state (1,)."""
+        return batch_state([self.scene()])
+
+    @property
+    def goal(self) -> Tensor:
+        """Goal (1, G)."""
+        return torch.as_tensor(self.scene().goal)[None]
+
+    def scene(self, truth: bool = True) -> Scene:
+        """The present scene, velocities included: what ``reset(options={"scene": ...})`` of both twins takes.
+
+        Args:
+            truth: with the "complete" observation, estimate and truth are the same.
+        """
+        if self._scene is None:
+            raise PwmGymError("the environment has no scene yet; call reset() first")
+        joints, speeds = self.simulator.joints()
+        return Scene(
+            task=self.task.name,
+            layout=self.layout,
+            clouds=self._scene.clouds,
+            poses=np.stack(self._poses),
+            goal=self._scene.goal,
+            joints=joints,
+            joint_velocities=speeds,
+            last_action=self._action.copy(),
+        )
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+        """Start an episode; ``options["scene"]`` gives its scene, which needs joint positions."""
+        super().reset(seed=seed)
+        for key in options or {}:
+            if key != "scene":
+                raise unknown_name("reset option", key, ["scene"])
+        scene = (options or {}).get("scene")
+        self._action = np.zeros(self.task.action_size, np.float32)
+        self._action[-1] = 1.0
+        if scene is not None:
+            self._start_from(scene)
+        else:
+            seeds = RANGES["plan_test"]
+            self.simulator.reset(int(self.np_random.integers(seeds.start, seeds.stop)) if seed is None else seed)
+            poses = self.simulator.poses()
+            self._poses = deque([poses] * 3, maxlen=3)
+            clouds = resample_clouds(self._full_clouds, self.task.layout, self.layout)
+            goal = self.simulator.goal()
+            self._scene = Scene(self.task.name, self.layout, clouds, np.stack([poses] * 3), goal)
+        judgement = self._judge()
+        return self._observe(), self._info(judgement, self.simulator.outcome())
+
+    def _start_from(self, scene: Scene) -> None:
+        if not isinstance(scene, Scene):
+            raise PwmGymError(f"scene is a {type(scene).__name__}; expected pwm_gym.Scene")
+        scene = scene.validate(self.task.name, self.layout, self.task.goal_size).coarsen(self.layout)
+        self.simulator.restore(scene)
+        self._scene = scene
+        self._poses = deque(scene.poses, maxlen=3)
+        if scene.last_action is not None:
+            self._action = np.asarray(scene.last_action, np.float32).copy()
+
+    def step(self, action: np.ndarray) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
+        """One control step under an action (A,) in [-1, 1]."""
+        checked = check_actions(action, self.action_space.shape or ())
+        self._action = checked.numpy().copy()
+        outcome = self.simulator.step(self._action)
+        self._poses.appendleft(self.simulator.poses())
+        judgement = self._judge()
+        info = self._info(judgement, outcome)
+        return self._observe(), float(judgement.reward[0]), outcome.success, False, info
+
+    def _judge(self) -> Judgement:
+        return self.rules.judge(self.state, torch.as_tensor(self._action)[None], self.goal)
+
+    def _observe(self) -> dict[str, np.ndarray]:
+        return {k: v[0].numpy() for k, v in observe(self.state, self.goal).items()}
+
+    @staticmethod
+    def _info(judgement: Judgement, outcome: SimOutcome) -> dict[str, Any]:
+        return {
+            "success": outcome.success,
+            "grasped": bool(judgement.grasped[0]),
+            "cost_terms": {name: float(value[0]) for name, value in judgement.terms.items()},
+            "reason": "",
+            "simulator_reward": outcome.reward,
+            "simulator_grasped": outcome.grasped,
+        }
+
+    def render(self) -> np.ndarray | None:  # type: ignore[override]
+        """A picture (H, W, 3) uint8 with ``render_mode="rgb_array"``."""
+        if self.render_mode is None:
+            return None
+        if self._renderer is None:
+            self._renderer = SceneRenderer(self.layout, "true")
+        state = self.state
+        return self._renderer(state.points()[0].numpy(), self.goal[0].numpy())
+
+    def close(self) -> None:
+        """Free the simulator; calling it twice is harmless."""
+        self.simulator.close()

@@ -1,0 +1,39 @@
+"""The ``pwm-gym`` command; each subcommand is a dataclass in :mod:`pwm_gym.commands`."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+import tyro
+
+from pwm_gym.commands.bench import Bench
+from pwm_gym.commands.check_cost import CheckCost
+from pwm_gym.commands.collect import Collect
+from pwm_gym.commands.demo import Demo
+from pwm_gym.commands.envs import Envs
+from pwm_gym.commands.evaluate import Evaluate
+from pwm_gym.commands.plan import Plan
+from pwm_gym.commands.train import Train
+from pwm_gym.errors import PwmGymError
+
+__all__ = ["main"]
+
+Command = (
+    Annotated[Demo, tyro.conf.subcommand("demo")]
+    | Annotated[Envs, tyro.conf.subcommand("envs")]
+    | Annotated[Collect, tyro.conf.subcommand("collect")]
+    | Annotated[Train, tyro.conf.subcommand("train")]
+    | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
+    | Annotated[Plan, tyro.conf.subcommand("plan")]
+    | Annotated[Bench, tyro.conf.subcommand("bench")]
+    | Annotated[CheckCost, tyro.conf.subcommand("check-cost")]
+)
+
+
+def main(args: list[str] | None = None) -> None:
+    """Run a subcommand; errors about its input are one line, without a traceback."""
+    command: Any = tyro.cli(Command, prog="pwm-gym", args=args)  # type: ignore[call-overload]
+    try:
+        command.run()
+    except PwmGymError as error:
+        raise SystemExit(f"pwm-gym: {error}") from None

@@ -1,0 +1,67 @@
+"""``pwm-gym check-cost``."""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pwm_gym.errors import PwmGymError
+
+__all__ = ["CheckCost"]
+
+
+@dataclass(frozen=True)
+class CheckCost:
+    """Check a cost function of your own on real scenes: shape, values, gradient and batch independence."""
+
+    cost: str
+    """A registered name, or "file.py:function"."""
+    task: str = "PickCube"
+    """Registered task."""
+
+    def run(self) -> None:
+        """Print what the cost gives; an error names what is wrong."""
+        import torch
+
+        from pwm_gym.costs import cost_info, get_cost, get_grasp
+        from pwm_gym.dynamics import load_checkpoint, resolve
+        from pwm_gym.scene import batch_state
+        from pwm_gym.tasks import get_task
+
+        task = get_task(self.task)
+        cost = get_cost(_find(self.cost))
+        bank = load_checkpoint(resolve("default", task.name), task.name).bank
+        state = batch_state([bank.scene(i) for i in range(8)])
+        frames = state.frames.requires_grad_(True)
+        goal = torch.as_tensor(bank.goals[:8])
+        action = torch.zeros(8, task.action_size)
+        points, info = cost_info(state, action, goal, get_grasp(task.grasp))
+        terms = cost.evaluate(points, info)
+        for name, value in terms.items():
+            print(f"  {name:16s} {float(value.min()):9.4f} to {float(value.max()):9.4f}")
+        total = torch.stack(list(terms.values())).sum(0)
+        one = state.map(lambda x: x[:1])
+        alone = cost(*cost_info(one, action[:1], goal[:1], get_grasp(task.grasp)))
+        if not torch.allclose(alone, total[:1], atol=1e-5):
+            raise PwmGymError(f"cost {cost.name!r} of a scene depends on its batch: {alone} alone, {total[:1]} among 8")
+        smooth = total.requires_grad and bool(torch.autograd.grad(total.sum(), frames)[0].abs().sum() > 0)
+        print(f"cost {cost.name!r} is fine on 8 scenes; {'differentiable' if smooth else 'without a gradient here'}")
+
+
+def _find(name: str) -> str | Callable[..., Any]:
+    """A registered name as it is, or the function of a file."""
+    path, _, function = name.partition(":")
+    if not function:
+        return name
+    if not Path(path).exists():
+        raise PwmGymError(f"no file {path!r}; expected a registered cost or 'file.py:function'")
+    spec = importlib.util.spec_from_file_location("user_cost", path)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    if not hasattr(module, function):
+        raise PwmGymError(f"{path} has no function {function!r}")
+    return getattr(module, function)

@@ -1,0 +1,115 @@
+"""``pwm-gym evaluate``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from pwm_gym.data import Dataset
+    from pwm_gym.tasks import Task
+
+__all__ = ["Evaluate"]
+
+_WITHOUT_LEARNING = ("still", "commanded", "linear")
+
+
+@dataclass(frozen=True)
+class Evaluate:
+    """Roll a checkpoint out on a data set's test split, beside baselines, an oracle end effector and floors."""
+
+    task: str = "PickCube"
+    """Registered task."""
+    data: Path = Path("data-sets/PickCube")
+    """Folder of a data set; the baseline without learning is fitted on its training split."""
+    checkpoint: str = "default"
+    """A folder or a shipped checkpoint's name."""
+    split: str = "test"
+    """Which split."""
+    floors: bool = True
+    """Whether to measure the floors, which needs the simulator."""
+    json: Path | None = None
+    """Where to write the results."""
+    threads: int = 2
+    """PyTorch threads."""
+
+    def run(self) -> None:
+        """Print the table and write the results."""
+        import torch
+
+        from pwm_gym.data import load_split
+        from pwm_gym.dynamics import load_checkpoint, resolve
+        from pwm_gym.evaluation import evaluate_rollouts, long_rollouts, write_results
+        from pwm_gym.tasks import get_task
+
+        torch.set_num_threads(self.threads)
+        task = get_task(self.task)
+        dataset = load_split(self.data, self.split, task.name)
+        checkpoint = load_checkpoint(resolve(self.checkpoint, task.name), task.name)
+        rows = {checkpoint.kind: evaluate_rollouts(checkpoint.model, task, dataset)}
+        rows["oracle effector"] = evaluate_rollouts(checkpoint.model, task, dataset, oracle=True)
+        for name, model in _baselines(task, self.data).items():
+            rows[name] = evaluate_rollouts(model, task, dataset)
+        floors = _floors(task, dataset) if self.floors else {}
+        _print(task, rows, floors)
+        long = long_rollouts(checkpoint.model, dataset)
+        print(f"300 zero actions, moved at the end (mm): {long['zero_actions_mm']}")
+        print(f"300 random actions: farthest {long['random_actions_m']:.2f} m, finite: {long['finite']}")
+        if self.json is not None:
+            results = {"split": self.split, "checkpoint": checkpoint.description["training"]["data"]}
+            write_results(self.json, {**results, "rows": rows, "floors": floors, "long_rollouts": long})
+
+
+def _baselines(task: Task, data: Path) -> dict[str, Any]:
+    """The baselines without learning, their linear response fitted on the training split."""
+    from pwm_gym.data import Windows, load_split
+    from pwm_gym.dynamics import build_model
+
+    every = Windows(load_split(data, "train", task.name)).transitions()
+    models: dict[str, Any] = {}
+    for name in _WITHOUT_LEARNING:
+        model: Any = build_model(name, task.layout, task.action_size, task.action_frame.vectors)
+        if hasattr(model, "response"):
+            model.response.fit(every.frames, every.actions[:, 0], every.following[:, 0])
+        models[name] = model
+    return models
+
+
+def _floors(task: Task, dataset: Dataset) -> dict[str, Any]:
+    from pwm_gym.evaluation.floors import chaos_floor, sampling_floor
+    from pwm_gym.scene import sample_clouds
+
+    simulator = task.simulator()
+    fresh = sample_clouds(simulator.meshes(), task.layout, task.cloud_seed + 1000)
+    demonstrations = dataset.of_kinds(("expert", "randomised"))
+    floors = {
+        "sampling": sampling_floor(demonstrations, fresh),
+        "chaos": chaos_floor(simulator, task, demonstrations),
+    }
+    simulator.close()
+    return floors
+
+
+def _print(task: Task, rows: dict[str, Any], floors: dict[str, Any]) -> None:
+    """The table on the terminal: metres for Chamfer, millimetres for the object."""
+    splits = list(next(iter(rows.values())))
+    for split in splits:
+        episodes = next(iter(rows.values()))[split]["episodes"]
+        print(f"\n{task.name}, {split}: {episodes} test episodes")
+        header = f"{task.object} @10   @30   @60  median@60  last (mm)"
+        print(f"  {'model':16s} {'CD L1':>8s} {'entities':>9s} {'corr':>6s}   {header}")
+        for name, table in rows.items():
+            row = table[split]
+            position = row["entities"][task.object]["position_mm"]
+            cells = [f"{position[k]['mean']:5.1f}" if k in position else "    -" for k in ("10", "30", "60")]
+            middle = f"{position['60']['median']:5.1f}" if "60" in position else "    -"
+            print(
+                f"  {name:16s} {row['chamfer_l1']:8.4f} {row['chamfer_l1_entity_mean']:9.4f} "
+                f"{row['reward_correlation']:6.3f}   {' ' * len(task.object)} {' '.join(cells)}      {middle} "
+                f"     {position['last']['mean']:5.1f}"
+            )
+        ceiling = next(iter(rows.values()))[split]["reward_correlation_ceiling"]
+        print(f"  reward correlation on true clouds (ceiling): {ceiling:.3f}")
+    for name, floor in floors.items():
+        print(f"{name} floor: {floor}")

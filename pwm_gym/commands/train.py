@@ -1,0 +1,28 @@
+"""``pwm-gym train``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Annotated
+
+import tyro
+
+from pwm_gym.data import FitConfig
+from pwm_gym.dynamics.training import TrainConfig
+
+__all__ = ["Train"]
+
+
+@dataclass(frozen=True)
+class Train:
+    """Train a world model on collected episodes; ``torchrun --nproc-per-node 2 -m pwm_gym train`` shares the work."""
+
+    fit: Annotated[FitConfig, tyro.conf.arg(name="")] = field(default_factory=FitConfig)
+    training: Annotated[TrainConfig, tyro.conf.arg(name="")] = field(default_factory=TrainConfig)
+
+    def run(self) -> None:
+        """Train, with a progress bar, TensorBoard curves and checkpoints."""
+        from pwm_gym.data import fit
+        from pwm_gym.evaluation import validation_metrics
+
+        print(f"checkpoint: {fit(self.fit, self.training, validation_metrics)}")

@@ -1,0 +1,58 @@
+"""Planning success over seeded episodes (paper, section 4.2)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from tqdm import tqdm
+
+from pwm_gym.planning import Agent, Run, closed_loop
+
+__all__ = ["planning_table", "run_episodes", "wilson"]
+
+
+def run_episodes(
+    env: gym.Env[Any, Any], agent: Agent, seeds: Sequence[int], max_steps: int = 100, progress: bool = True
+) -> list[Run]:
+    """Closed-loop runs of ``seeds``; those that succeed at reset are left out."""
+    runs = []
+    with tqdm(seeds, unit="episode", disable=not progress, desc="plan") as bar:
+        for seed in bar:
+            run = closed_loop(env, agent, seed, max_steps)
+            if not run.at_reset:
+                runs.append(run)
+            bar.set_postfix(success=f"{sum(r.success for r in runs)}/{len(runs)}")
+    return runs
+
+
+def wilson(successes: int, trials: int, z: float = 1.96) -> tuple[float, float]:
+    """95 % Wilson interval of a success rate."""
+    if trials == 0:
+        return 0.0, 1.0
+    rate = successes / trials
+    middle = (rate + z * z / (2 * trials)) / (1 + z * z / trials)
+    half = z / (1 + z * z / trials) * math.sqrt(rate * (1 - rate) / trials + z * z / (4 * trials * trials))
+    return max(0.0, middle - half), min(1.0, middle + half)
+
+
+def planning_table(runs: Sequence[Run]) -> dict[str, Any]:
+    """Success rate with its interval, steps and latencies (seconds an action) of ``runs``."""
+    wins = [r for r in runs if r.success]
+    latencies = np.array([t for r in runs for t in r.plan_seconds])
+    return {
+        "episodes": len(runs),
+        "successes": len(wins),
+        "interval": wilson(len(wins), len(runs)),
+        "mean_steps_of_successes": float(np.mean([r.steps for r in wins])) if wins else None,
+        "plan_seconds": {
+            "median": float(np.median(latencies)),
+            "mean": float(latencies.mean()),
+            "p95": float(np.quantile(latencies, 0.95)),
+        },
+        "failed_seeds": [r.seed for r in runs if not r.success],
+        "runs": [{"seed": r.seed, "success": r.success, "steps": r.steps} for r in runs],
+    }

@@ -1,0 +1,181 @@
+"""The rollout table: every metric of a world model on a test split, beside baselines, oracle and floors."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+from tqdm import tqdm
+
+from pwm_gym.costs import cost_info, get_cost, get_grasp
+from pwm_gym.data.dataset import Dataset
+from pwm_gym.data.episodes import KINDS
+from pwm_gym.dynamics.model import WorldModel
+from pwm_gym.evaluation.metrics import chamfer, pearson
+from pwm_gym.evaluation.rollouts import OBSERVED, Rollouts, position_errors, predict, rotation_errors
+from pwm_gym.scene import RigidState, State
+from pwm_gym.tasks import Task
+
+__all__ = ["SPLITS", "STEPS", "evaluate_rollouts"]
+
+STEPS = (10, 30, 60)
+"""Rollout steps at which entity errors are reported."""
+SPLITS: dict[str, tuple[str, ...]] = {
+    "all": ("expert", "randomised"),
+    "expert": ("expert",),
+    "randomised": ("randomised",),
+    "practice": ("practice",),
+}
+"""Row of the table -> kinds of episodes; "all" is the paper's mix."""
+_CHUNK = 8  # episodes whose points are formed at once
+
+
+@dataclass(frozen=True)
+class _Scores:
+    """Per episode (M,) and per step (M, H); NaN where there is none."""
+
+    chamfer: np.ndarray
+    euclidean: np.ndarray
+    entity_mean: np.ndarray
+    correlation: np.ndarray
+    ceiling: np.ndarray
+
+
+def evaluate_rollouts(
+    model: WorldModel, task: Task, dataset: Dataset, oracle: bool = False, progress: bool = True
+) -> dict[str, Any]:
+    """Metrics of ``model`` for each of :data:`SPLITS` that ``dataset`` has.
+
+    Args:
+        model: world model on the CPU.
+        task: gives the reward and the names.
+        dataset: test split.
+        oracle: whether the true end effector replaces the predicted one after each step.
+        progress: whether to show a bar.
+    """
+    rollouts = predict(model, dataset, oracle_effector=oracle)
+    scores = _score(rollouts, task, progress)
+    kinds = np.array([KINDS[e.kind] for e in rollouts.episodes])
+    table = {}
+    for split, wanted in SPLITS.items():
+        chosen = np.isin(kinds, wanted)
+        if chosen.any():
+            table[split] = _summary(rollouts, scores, chosen)
+    return table
+
+
+def _score(rollouts: Rollouts, task: Task, progress: bool) -> _Scores:
+    count, horizon = rollouts.poses.shape[:2]
+    distances = np.full((3, count, horizon), np.nan)
+    correlations = np.full((2, count), np.nan)
+    with ThreadPoolExecutor(torch.get_num_threads()) as pool:
+        for k in tqdm(range(0, count, _CHUNK), disable=not progress, desc="score", leave=False):
+            part = slice(k, k + _CHUNK)
+            truth = _true_states(rollouts, part)
+            predicted = rollouts.states[part]
+            _fill_distances(distances[:, part], predicted, truth, rollouts.lengths[part], pool.map)
+            correlations[:, part] = _correlations(rollouts, part, predicted, truth, task)
+    return _Scores(*distances, *correlations)
+
+
+def _true_states(rollouts: Rollouts, part: slice) -> RigidState:
+    """True states (M, H); velocities of the first two steps count from the first true pose."""
+    truth = rollouts.truth[part]
+    before = torch.cat([truth[:, :1], truth[:, :-1]], 1)
+    earlier = torch.cat([before[:, :1], before[:, :-1]], 1)
+    frames = torch.stack([truth, before, earlier], 2)
+    states = rollouts.states[part]
+    return RigidState(states.layout, states.clouds, frames)
+
+
+def _fill_distances(
+    out: np.ndarray, predicted: State, truth: State, lengths: np.ndarray, each: Callable[..., Any]
+) -> None:
+    """Chamfer L1, Euclidean and entity-mean L1 of each step, into ``out`` (3, M, H)."""
+    a, b = predicted.points().numpy(), truth.points().numpy()
+    slices = [e.slice for e in truth.layout]
+
+    def one(index: tuple[int, int]) -> tuple[float, float, float]:
+        p, q = a[index], b[index]
+        if not np.isfinite(p).all():
+            return np.inf, np.inf, np.inf
+        parts = [chamfer(p[s], q[s]) for s in slices]
+        return chamfer(p, q), chamfer(p, q, order=2), float(np.mean(parts))
+
+    places = [(m, h) for m, length in enumerate(lengths) for h in range(length)]
+    for (m, h), values in zip(places, each(one, places), strict=True):
+        out[:, m, h] = values
+
+
+def _correlations(
+    rollouts: Rollouts, part: slice, predicted: State, truth: State, task: Task
+) -> tuple[np.ndarray, np.ndarray]:
+    """Reward correlation of each episode on predicted clouds, and its ceiling on true ones."""
+    episodes, lengths = rollouts.episodes[part], rollouts.lengths[part]
+    goals = torch.as_tensor(np.stack([e.goal for e in episodes]))
+    series = [_rewards(s, rollouts.actions[part], goals, task).numpy() for s in (predicted, truth)]
+    rows = []
+    for values in series:
+        row = []
+        for m, (episode, length) in enumerate(zip(episodes, lengths, strict=True)):
+            r = pearson(values[m, :length], episode.rewards[OBSERVED - 1 :])
+            row.append(np.nan if r is None else r)
+        rows.append(np.array(row))
+    return rows[0], rows[1]
+
+
+def _rewards(states: State, actions: Tensor, goals: Tensor, task: Task) -> Tensor:
+    """The task's reward (M, H) on clouds of states (M, H)."""
+    flat = states.map(lambda x: torch.nan_to_num(x).flatten(0, 1))
+    count, horizon, size = actions.shape
+    goal = goals.unsqueeze(1).expand(-1, horizon, -1).flatten(0, 1)
+    points, info = cost_info(flat, actions.reshape(-1, size), goal, get_grasp(task.grasp))
+    return -get_cost(task.cost)(points, info).view(count, horizon)
+
+
+def _summary(rollouts: Rollouts, scores: _Scores, chosen: np.ndarray) -> dict[str, Any]:
+    """Averages over the chosen episodes."""
+
+    def trajectory_mean(values: np.ndarray) -> float:
+        return float(np.nanmean(values[chosen], 1).mean())
+
+    out: dict[str, Any] = {
+        "episodes": int(chosen.sum()),
+        "mean_steps": float(rollouts.lengths[chosen].mean()),
+        "chamfer_l1": trajectory_mean(scores.chamfer),
+        "chamfer_l2": trajectory_mean(scores.euclidean),
+        "chamfer_l1_entity_mean": trajectory_mean(scores.entity_mean),
+        "reward_correlation": float(np.nanmean(scores.correlation[chosen])),
+        "reward_correlation_ceiling": float(np.nanmean(scores.ceiling[chosen])),
+        "reward_without_variance": int(np.isnan(scores.correlation[chosen]).sum()),
+        "chamfer_l1_by_step": [float(x) for x in _column_means(scores.chamfer[chosen])],
+        "entities": {},
+    }
+    for i, name in enumerate(rollouts.states.layout.names):
+        out["entities"][name] = {
+            "position_mm": _at_steps(1e3 * position_errors(rollouts, i).numpy()[chosen], rollouts.lengths[chosen]),
+            "rotation_deg": _at_steps(rotation_errors(rollouts, i).numpy()[chosen], rollouts.lengths[chosen]),
+        }
+    return out
+
+
+def _column_means(values: np.ndarray) -> np.ndarray:
+    """Mean over the episodes that are long enough, step by step, as far as half of them reach."""
+    reach = np.isfinite(values).sum(0) >= 0.5 * len(values)
+    return np.nanmean(values[:, reach], 0)
+
+
+def _at_steps(errors: np.ndarray, lengths: np.ndarray) -> dict[str, dict[str, float]]:
+    """Mean, median and count of errors (M, H) at :data:`STEPS` and at each episode's last step."""
+    columns = {str(k): errors[lengths >= k, k - 1] for k in STEPS}
+    columns["last"] = errors[np.arange(len(errors)), lengths - 1]
+    return {
+        k: {"mean": float(v.mean()), "median": float(np.median(v)), "episodes": len(v)}
+        for k, v in columns.items()
+        if len(v)
+    }

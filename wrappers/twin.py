@@ -1,0 +1,97 @@
+"""Model and simulator side by side."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import torch
+
+from pwm_gym.envs.model_env import ModelEnv
+from pwm_gym.envs.sim_env import SimEnv
+from pwm_gym.errors import PwmGymError
+from pwm_gym.evaluation.metrics import chamfer
+from pwm_gym.scene import Scene, State
+from pwm_gym.scene.se3 import rotation_angle
+
+__all__ = ["Twin", "divergence"]
+
+
+def divergence(predicted: State, true: State) -> dict[str, Any]:
+    """How far two single scenes (1,) are apart.
+
+    Returns:
+        ``chamfer_l1`` in metres, and ``position`` (metres) and ``rotation`` (degrees) of each entity by name.
+    """
+    a, b = predicted.poses()[0].cpu(), true.poses()[0].cpu()
+    gap = (a[:, :3, 3] - b[:, :3, 3]).norm(dim=-1)
+    angle = torch.rad2deg(rotation_angle(a[:, :3, :3], b[:, :3, :3]))
+    names = true.layout.names
+    return {
+        "chamfer_l1": chamfer(predicted.points()[0].cpu().numpy(), true.points()[0].cpu().numpy()),
+        "position": dict(zip(names, map(float, gap), strict=True)),
+        "rotation": dict(zip(names, map(float, angle), strict=True)),
+    }
+
+
+class Twin(gym.Wrapper[dict[str, np.ndarray], np.ndarray, dict[str, np.ndarray], np.ndarray]):
+    """Steps a model environment and its simulator twin together, from the same scene and with the same actions.
+
+    Observations, rewards and ends are the model's. ``info["twin"]`` is the simulator's info with its ``reward`` and
+    ends, and ``info["divergence"]`` tells how far the worlds are apart: ``chamfer_l1``, ``position`` and ``rotation`` of
+    each entity, and ``reward`` (model's minus simulator's, of the same cost).
+
+    Example:
+        >>> env = Twin(gym.make("pwm/PickCube-v0"), gym.make("pwm/PickCubeSim-v0"))  # doctest: +SKIP
+
+    Args:
+        env: model environment.
+        twin: simulator environment of the same task.
+    """
+
+    def __init__(
+        self,
+        env: gym.Env[dict[str, np.ndarray], np.ndarray],
+        twin: gym.Env[dict[str, np.ndarray], np.ndarray],
+    ) -> None:
+        super().__init__(env)
+        model, simulator = env.unwrapped, twin.unwrapped
+        if not isinstance(model, ModelEnv) or not isinstance(simulator, SimEnv):
+            raise PwmGymError(f"Twin wraps a ModelEnv and a SimEnv; got {type(model).__name__}, {type(simulator).__name__}")
+        if model.task.name != simulator.task.name or model.vector.layout != simulator.layout:
+            raise PwmGymError(
+                f"the twins differ: {model.task.name} with {model.vector.layout.points} points, "
+                f"{simulator.task.name} with {simulator.layout.points}"
+            )
+        self.twin, self._model, self._simulator = twin, model, simulator
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+        """Reset the simulator and start the model from its scene."""
+        _, twin_info = self.twin.reset(seed=seed, options=options)
+        scene: Scene = self._simulator.scene()
+        observation, info = self.env.reset(seed=seed, options={"scene": scene})
+        return observation, self._with_divergence(info, twin_info, 0.0)
+
+    def step(
+        self, action: np.ndarray
+    ) -> tuple[dict[str, np.ndarray], Any, bool, bool, dict[str, Any]]:
+        """Step both; the simulator goes on after its own success until the model's episode ends."""
+        _, twin_reward, twin_ended, twin_late, twin_info = self.twin.step(action)
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        twin_info = {**twin_info, "reward": twin_reward, "terminated": twin_ended, "truncated": twin_late}
+        gap = float(reward) - float(twin_reward)
+        return observation, reward, terminated, truncated, self._with_divergence(info, twin_info, gap)
+
+    def _with_divergence(
+        self, info: dict[str, Any], twin_info: dict[str, Any], reward: float
+    ) -> dict[str, Any]:
+        apart = divergence(self._model.state, self._simulator.state)
+        return {**info, "twin": twin_info, "divergence": {**apart, "reward": reward}}
+
+    def close(self) -> None:
+        """Close both."""
+        super().close()
+        self.twin.close()
