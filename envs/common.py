@@ -1,4 +1,4 @@
-"""What the model's and the simulator's environments share: spaces, observations, checks and the rules of an episode."""
+"""What both twins' environments share: spaces, observations, checks and the rules of an episode."""
 
 from __future__ import annotations
 
@@ -70,12 +70,12 @@ def check_actions(actions: Any, shape: tuple[int, ...]) -> Tensor:
         PwmGymError: wrong shape or dtype, NaN, or a value outside [-1, 1].
     """
     value = actions if isinstance(actions, Tensor) else np.asarray(actions)
-    floating = value.is_floating_point() if isinstance(value, Tensor) else np.issubdtype(value.dtype, np.floating)
-    if not floating:
+    torched = isinstance(value, Tensor)
+    if not (value.is_floating_point() if torched else np.issubdtype(value.dtype, np.floating)):
         raise PwmGymError(f"actions have dtype {value.dtype}; expected floating point")
     if tuple(value.shape) != shape:
         raise PwmGymError(f"actions have shape {tuple(value.shape)}; expected {shape}")
-    if isinstance(value, Tensor):
+    if torched:
         tensor = value.detach().to(torch.float32, copy=True)
     else:
         tensor = torch.from_numpy(value.astype(np.float32))

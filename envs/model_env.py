@@ -21,11 +21,13 @@ __all__ = ["ModelEnv"]
 class ModelEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
     """
     ## Description
-    A learned 3D point world model. An episode starts from a scene of the checkpoint's own bank (no simulator is
-    needed) or from a given one, and every ``step`` predicts the completed point cloud one control step (0.05 s) later.
+    A learned 3D point world model. An episode starts from a scene of the checkpoint's own bank (no simulator
+    is needed) or from a given one, and every ``step`` predicts the completed point cloud one control step
+    (0.05 s) later.
 
     ## Action space
-    `Box(-1, 1, (7,), float32)` for the Panda tasks (ManiSkill's `pd_ee_delta_pose`, in the robot base's frame):
+    `Box(-1, 1, (7,), float32)` for the Panda tasks (ManiSkill's `pd_ee_delta_pose`, in the robot base's
+    frame):
 
     | index | meaning | unit of 1.0 |
     |---|---|---|
@@ -50,8 +52,9 @@ class ModelEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
     A random scene of the checkpoint's bank, at rest; or `reset(options={"scene": scene})`.
 
     ## Episode end
-    Success terminates. A prediction that leaves the bounds truncates with `info["reason"] == "left the bounds"`;
-    only the returned observation is clipped. `gym.make` adds the time limit.
+    Success terminates. A prediction that leaves the bounds truncates with
+    `info["reason"] == "left the bounds"`; only the returned observation is clipped. `gym.make` adds the time
+    limit.
 
     ## Info
     `success`, `grasped`, `cost_terms` (the cost's weighted terms by name), `reason`.
@@ -119,9 +122,7 @@ class ModelEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
         observation, info = self.vector.reset(seed=seed, options=options)
         return _first(observation), _first_info(info)
 
-    def step(
-        self, action: np.ndarray
-    ) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
+    def step(self, action: np.ndarray) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
         """One control step under an action (A,) in [-1, 1]."""
         batch = check_actions(action, self.action_space.shape or ()).unsqueeze(0)
         self.vector.resume()

@@ -114,7 +114,7 @@ class ModelVectorEnv(EzPickle, gym.vector.VectorEnv[dict[str, np.ndarray], np.nd
             generator.seed()
         self._state: State | None = None
         self.final_state: State | None = None
-        """With SAME_STEP, the state (B,) before the last restart, whose finished rows the restart replaced."""
+        """With SAME_STEP, the state (B,) before the last restart, which replaced its finished rows."""
         self._goal = torch.zeros(num_envs, self.task.goal_size, device=self.device)
         self.final_goal = self._goal
         self._action = torch.zeros(num_envs, self.task.action_size, device=self.device)
@@ -140,7 +140,7 @@ class ModelVectorEnv(EzPickle, gym.vector.VectorEnv[dict[str, np.ndarray], np.nd
         return self._goal
 
     def scene(self, index: int = 0) -> Scene:
-        """The present scene of one environment, velocities included: what ``reset(options={"scene": ...})`` takes."""
+        """The present scene of one environment, velocities included: what ``options["scene"]`` takes."""
         frames = self.state.history()[index].double().cpu()  # (3, E, 4, 4)
         return Scene(
             task=self.task.name,
@@ -255,7 +255,7 @@ class ModelVectorEnv(EzPickle, gym.vector.VectorEnv[dict[str, np.ndarray], np.nd
     def _freeze(self, escaped: Tensor) -> None:
         """Where a prediction left the bounds, keep finite values so that the returned ones can be clipped."""
         assert self._state is not None
-        self._state = self._state.map(lambda x: torch.nan_to_num(x, 0.0, 1e3, -1e3))
+        self._state = self._state.map(lambda x: torch.nan_to_num(x).clamp(-1e3, 1e3))
 
     def _finish(self, judgement: Judgement, escaped: np.ndarray, restarted: np.ndarray) -> tuple[Any, ...]:
         """Ends, infos and, with SAME_STEP, the restarts of the step just made."""
@@ -264,7 +264,7 @@ class ModelVectorEnv(EzPickle, gym.vector.VectorEnv[dict[str, np.ndarray], np.nd
             late = (self._elapsed >= self.max_episode_steps) & ~restarted
         terminated = judgement.success.cpu().numpy() & ~restarted & ~escaped
         truncated = escaped | late
-        reasons = ["left the bounds" if e else "time limit" if t else "" for e, t in zip(escaped, late, strict=True)]
+        reasons = np.where(escaped, "left the bounds", np.where(late, "time limit", "")).tolist()
         reward = judgement.reward.masked_fill(torch.as_tensor(restarted, device=self.device), 0.0)
         observation, info = self._out(observe(self.state, self._goal)), self._info(judgement, reasons)
         self._done = terminated | truncated

@@ -28,8 +28,8 @@ _OBSERVATIONS = ("complete",)
 class SimEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
     """
     ## Description
-    The simulator-backed twin of a model environment: the same task, spaces and meaning of actions, with clouds sampled
-    on the simulator's own meshes ("complete" observation).
+    The simulator-backed twin of a model environment: the same task, spaces and meaning of actions, with
+    clouds sampled on the simulator's own meshes ("complete" observation).
 
     ## Action space
     As in :class:`pwm_gym.envs.ModelEnv`.
@@ -41,8 +41,9 @@ class SimEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
     Minus the registered cost on the true clouds; the simulator's own is in `info["simulator_reward"]`.
 
     ## Starting state
-    The simulator's initial distribution; `reset(seed=s)` is the simulator's episode of seed s. A scene with joint
-    positions (`env.unwrapped.scene()` of this environment) starts there with `reset(options={"scene": scene})`.
+    The simulator's initial distribution; `reset(seed=s)` is the simulator's episode of seed s. A scene with
+    joint positions (`env.unwrapped.scene()` of this environment) starts there with
+    `reset(options={"scene": scene})`.
 
     ## Episode end
     The simulator's own success terminates; `gym.make` adds the time limit.
@@ -130,18 +131,18 @@ class SimEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
             if key != "scene":
                 raise unknown_name("reset option", key, ["scene"])
         scene = (options or {}).get("scene")
-        self._action = np.zeros(self.task.action_size, np.float32)
-        self._action[-1] = 1.0
         if scene is not None:
             self._start_from(scene)
         else:
             seeds = RANGES["plan_test"]
-            self.simulator.reset(int(self.np_random.integers(seeds.start, seeds.stop)) if seed is None else seed)
+            drawn = int(self.np_random.integers(seeds.start, seeds.stop)) if seed is None else seed
+            self.simulator.reset(drawn)
             poses = self.simulator.poses()
             self._poses = deque([poses] * 3, maxlen=3)
             clouds = resample_clouds(self._full_clouds, self.task.layout, self.layout)
             goal = self.simulator.goal()
             self._scene = Scene(self.task.name, self.layout, clouds, np.stack([poses] * 3), goal)
+            self._action = last_action(self._scene, self.task.action_size)
         judgement = self._judge()
         return self._observe(), self._info(judgement, self.simulator.outcome())
 
@@ -149,11 +150,10 @@ class SimEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
         if not isinstance(scene, Scene):
             raise PwmGymError(f"scene is a {type(scene).__name__}; expected pwm_gym.Scene")
         scene = scene.validate(self.task.name, self.layout, self.task.goal_size).coarsen(self.layout)
+        action = last_action(scene, self.task.action_size)
         self.simulator.restore(scene)
-        self._scene = scene
+        self._scene, self._action = scene, action
         self._poses = deque(scene.poses, maxlen=3)
-        if scene.last_action is not None:
-            self._action = np.asarray(scene.last_action, np.float32).copy()
 
     def step(self, action: np.ndarray) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
         """One control step under an action (A,) in [-1, 1]."""

@@ -6,6 +6,7 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
+from gymnasium.utils import RecordConstructorArgs
 
 from pwm_gym.scene import POSE_FEATURES, pose_features
 
@@ -14,7 +15,9 @@ __all__ = ["EntityPoses", "FlattenPoints"]
 _KEYS = ("points", "velocity", "previous_velocity", "goal")
 
 
-class FlattenPoints(gym.ObservationWrapper[np.ndarray, np.ndarray, dict[str, np.ndarray]]):
+class FlattenPoints(
+    gym.ObservationWrapper[np.ndarray, np.ndarray, dict[str, np.ndarray]], RecordConstructorArgs
+):
     """Points, both velocities and the goal as one float32 vector (9 N + G,), in this order.
 
     Example:
@@ -24,7 +27,8 @@ class FlattenPoints(gym.ObservationWrapper[np.ndarray, np.ndarray, dict[str, np.
     """
 
     def __init__(self, env: gym.Env[dict[str, np.ndarray], np.ndarray]) -> None:
-        super().__init__(env)
+        RecordConstructorArgs.__init__(self)
+        gym.ObservationWrapper.__init__(self, env)
         boxes: Any = env.observation_space
         low = np.concatenate([boxes[k].low.ravel() for k in _KEYS])
         high = np.concatenate([boxes[k].high.ravel() for k in _KEYS])
@@ -35,7 +39,9 @@ class FlattenPoints(gym.ObservationWrapper[np.ndarray, np.ndarray, dict[str, np.
         return np.concatenate([observation[k].ravel() for k in _KEYS])
 
 
-class EntityPoses(gym.ObservationWrapper[np.ndarray, np.ndarray, dict[str, np.ndarray]]):
+class EntityPoses(
+    gym.ObservationWrapper[np.ndarray, np.ndarray, dict[str, np.ndarray]], RecordConstructorArgs
+):
     """Entities' positions, rotations (two columns) and velocities, and the goal: float32 (12 E + G,).
 
     Positions in metres, velocities in metres a step, in the robot base's frame.
@@ -47,7 +53,8 @@ class EntityPoses(gym.ObservationWrapper[np.ndarray, np.ndarray, dict[str, np.nd
     """
 
     def __init__(self, env: gym.Env[dict[str, np.ndarray], np.ndarray]) -> None:
-        super().__init__(env)
+        RecordConstructorArgs.__init__(self)
+        gym.ObservationWrapper.__init__(self, env)
         base: Any = env.unwrapped
         size = POSE_FEATURES * len(base.entities) + base.task.goal_size
         self.observation_space = gym.spaces.Box(-2.0, 2.0, (size,), np.float32)

@@ -8,6 +8,7 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
+from gymnasium.utils import RecordConstructorArgs
 
 from pwm_gym.data.episodes import write_atomically
 from pwm_gym.scene.se3 import pose7_from_matrix
@@ -15,15 +16,17 @@ from pwm_gym.scene.se3 import pose7_from_matrix
 __all__ = ["RecordRollout"]
 
 
-class RecordRollout(gym.Wrapper[Any, np.ndarray, Any, np.ndarray]):
-    """Keeps each episode's poses, actions and rewards, and writes them to ``folder`` as ``episode-00000.npz`` ...
+class RecordRollout(gym.Wrapper[Any, np.ndarray, Any, np.ndarray], RecordConstructorArgs):
+    """Writes each episode's poses, actions and rewards to ``folder`` as ``episode-00000.npz`` ...
 
-    Arrays of a file: ``poses`` (T + 1, E, 7) in the base's frame, ``actions`` (T, A), ``rewards`` (T,), ``success``
-    (T,), ``goal`` (G,) and ``clouds`` (N, 3) canonical. A file appears when its episode ends or the next one begins.
+    Arrays of a file: ``poses`` (T + 1, E, 7) in the base's frame, ``actions`` (T, A), ``rewards`` (T,),
+    ``success`` (T,), ``goal`` (G,) and ``clouds`` (N, 3) canonical. A file appears when its episode ends or
+    the next one begins.
     """
 
     def __init__(self, env: gym.Env[Any, np.ndarray], folder: str | Path) -> None:
-        super().__init__(env)
+        RecordConstructorArgs.__init__(self, folder=str(folder))
+        gym.Wrapper.__init__(self, env)
         self.folder = Path(folder)
         self.episodes = 0
         self._clear()
@@ -38,7 +41,9 @@ class RecordRollout(gym.Wrapper[Any, np.ndarray, Any, np.ndarray]):
         base: Any = self.env.unwrapped
         return pose7_from_matrix(base.state.poses()[0].double().cpu()).numpy()
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
         """Reset, and write the episode that was under way."""
         self.flush()
         observation, info = self.env.reset(seed=seed, options=options)

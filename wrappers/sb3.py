@@ -24,7 +24,8 @@ class SB3VecEnv(VecEnv):
 
     Args:
         env: a native batch made with ``autoreset_mode="SameStep"``.
-        observation: "poses" (as :class:`pwm_gym.wrappers.EntityPoses`) or "points" (the environment's own Dict).
+        observation: "poses" (as :class:`pwm_gym.wrappers.EntityPoses`) or "points" (the environment's own
+            Dict).
 
     Example:
         >>> env = gym.make_vec("pwm/PickCube-v0", num_envs=8, autoreset_mode="SameStep")  # doctest: +SKIP
@@ -62,7 +63,7 @@ class SB3VecEnv(VecEnv):
         self._seeds = None
         return self._observed(observation)
 
-    def seed(self, seed: int | None = None) -> Sequence[None | int]:
+    def seed(self, seed: int | None = None) -> Sequence[int | None]:
         """Seed of the next reset."""
         self._seeds = seed
         return [None if seed is None else seed + i for i in range(self.num_envs)]
@@ -72,7 +73,7 @@ class SB3VecEnv(VecEnv):
         self._actions = np.asarray(actions, np.float32)
 
     def step_wait(self) -> tuple[Any, np.ndarray, np.ndarray, list[dict[str, Any]]]:
-        """Observations, rewards, dones and infos; a done one's last observation is in ``terminal_observation``."""
+        """Observations, rewards, dones and infos; a done one's has its ``terminal_observation``."""
         observation, reward, terminated, truncated, info = self.env.step(self._actions)
         done = terminated | truncated
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
@@ -97,7 +98,7 @@ class SB3VecEnv(VecEnv):
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
         """The attribute, once for each chosen environment."""
-        value = getattr(self.env, attr_name, None) if attr_name == "render_mode" else getattr(self._base, attr_name)
+        value = getattr(self._base, attr_name)
         return [value for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:

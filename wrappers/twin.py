@@ -36,11 +36,11 @@ def divergence(predicted: State, true: State) -> dict[str, Any]:
 
 
 class Twin(gym.Wrapper[dict[str, np.ndarray], np.ndarray, dict[str, np.ndarray], np.ndarray]):
-    """Steps a model environment and its simulator twin together, from the same scene and with the same actions.
+    """Steps a model environment and its simulator twin together: the same scene, the same actions.
 
-    Observations, rewards and ends are the model's. ``info["twin"]`` is the simulator's info with its ``reward`` and
-    ends, and ``info["divergence"]`` tells how far the worlds are apart: ``chamfer_l1``, ``position`` and ``rotation`` of
-    each entity, and ``reward`` (model's minus simulator's, of the same cost).
+    Observations, rewards and ends are the model's. ``info["twin"]`` is the simulator's info with its
+    ``reward`` and ends, and ``info["divergence"]`` tells how far the worlds are apart: ``chamfer_l1``,
+    ``position`` and ``rotation`` of each entity, and ``reward`` (model's minus simulator's, of the same cost).
 
     Example:
         >>> env = Twin(gym.make("pwm/PickCube-v0"), gym.make("pwm/PickCubeSim-v0"))  # doctest: +SKIP
@@ -58,7 +58,8 @@ class Twin(gym.Wrapper[dict[str, np.ndarray], np.ndarray, dict[str, np.ndarray],
         super().__init__(env)
         model, simulator = env.unwrapped, twin.unwrapped
         if not isinstance(model, ModelEnv) or not isinstance(simulator, SimEnv):
-            raise PwmGymError(f"Twin wraps a ModelEnv and a SimEnv; got {type(model).__name__}, {type(simulator).__name__}")
+            found = f"{type(model).__name__}, {type(simulator).__name__}"
+            raise PwmGymError(f"Twin wraps a ModelEnv and a SimEnv; got {found}")
         if model.task.name != simulator.task.name or model.vector.layout != simulator.layout:
             raise PwmGymError(
                 f"the twins differ: {model.task.name} with {model.vector.layout.points} points, "
@@ -75,9 +76,7 @@ class Twin(gym.Wrapper[dict[str, np.ndarray], np.ndarray, dict[str, np.ndarray],
         observation, info = self.env.reset(seed=seed, options={"scene": scene})
         return observation, self._with_divergence(info, twin_info, 0.0)
 
-    def step(
-        self, action: np.ndarray
-    ) -> tuple[dict[str, np.ndarray], Any, bool, bool, dict[str, Any]]:
+    def step(self, action: np.ndarray) -> tuple[dict[str, np.ndarray], Any, bool, bool, dict[str, Any]]:
         """Step both; the simulator goes on after its own success until the model's episode ends."""
         _, twin_reward, twin_ended, twin_late, twin_info = self.twin.step(action)
         observation, reward, terminated, truncated, info = self.env.step(action)

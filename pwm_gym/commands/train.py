@@ -20,9 +20,13 @@ class Train:
     fit: Annotated[FitConfig, tyro.conf.arg(name="")] = field(default_factory=FitConfig)
     training: Annotated[TrainConfig, tyro.conf.arg(name="")] = field(default_factory=TrainConfig)
 
+    paper: bool = False
+    """Train with the paper's table (H = 15, AdamW 1e-4, StepLR, Huber on velocities in metres) instead."""
+
     def run(self) -> None:
         """Train, with a progress bar, TensorBoard curves and checkpoints."""
         from pwm_gym.data import fit
         from pwm_gym.evaluation import validation_metrics
 
-        print(f"checkpoint: {fit(self.fit, self.training, validation_metrics)}")
+        training = TrainConfig.paper() if self.paper else self.training
+        print(f"checkpoint: {fit(self.fit, training, validation_metrics)}")

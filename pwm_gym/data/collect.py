@@ -40,7 +40,9 @@ class CollectConfig:
     out: Path = Path("data-sets/PickCube")
     """Folder of the data set; a run that was killed goes on where it was."""
     episodes: int = 1000
-    """Training episodes; validation and test get a tenth as many each (at least 20)."""
+    """Training episodes; validation and test get a tenth as many each, at least ``held_out``."""
+    held_out: int = 20
+    """Episodes of validation, and of test, at least."""
     practice: float = 0.5
     """Share of practice episodes; what is left of both shares are demonstrations."""
     on_policy: float = 0.0
@@ -86,7 +88,7 @@ def collect(config: CollectConfig, progress: bool = True) -> Path:
 
 
 def _write_header(config: CollectConfig, task: Task) -> None:
-    settings = {k: v for k, v in asdict(config).items() if k not in ("out", "workers", "episodes")}
+    settings = {k: v for k, v in asdict(config).items() if k not in ("out", "workers", "episodes", "held_out")}
     header = {
         "format": "pwm_gym.dataset",
         "schema": SCHEMA,
@@ -109,7 +111,7 @@ def _write_header(config: CollectConfig, task: Task) -> None:
 
 def _jobs(config: CollectConfig) -> Iterator[_Job]:
     """Shards of all splits; each kind takes seeds of its own third of a split."""
-    held_out = max(20, config.episodes // 10)
+    held_out = max(config.held_out, config.episodes // 10)
     counts = {"train": config.episodes, "validation": held_out, "test": held_out}
     for split, count in counts.items():
         planned = round(count * config.on_policy) if split == "train" else 0

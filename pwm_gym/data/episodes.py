@@ -6,6 +6,7 @@ import io
 import json
 import os
 import zipfile
+import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -83,7 +84,7 @@ def read_shard(path: Path, task: str | None = None) -> list[Episode]:
         with np.load(path, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
         header = json.loads(str(arrays.pop("header")))
-    except (KeyError, ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
+    except (KeyError, TypeError, ValueError, OSError, EOFError, zipfile.BadZipFile, zlib.error) as error:
         raise DatasetError(f"{path} is truncated or not a shard ({error}); collect again to replace it") from error
     if header.get("format") != "pwm_gym.episodes":
         raise DatasetError(f"{path} has format {header.get('format')!r}; expected 'pwm_gym.episodes'")

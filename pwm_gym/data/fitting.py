@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -40,8 +41,8 @@ class FitConfig:
     """Folder of the run: TensorBoard curves, the state to resume from, and ``checkpoint``."""
     model: str = "compact"
     """Registered kind of world model."""
-    settings: dict[str, Any] = field(default_factory=dict)
-    """Overrides of the kind's hyper-parameters."""
+    settings: dict[str, int | float | bool | str] = field(default_factory=dict)
+    """Overrides of the kind's hyper-parameters, such as ``width 96 blocks 3``."""
     boost: float = _BOOST
     """How much likelier windows with an object's own motion are drawn."""
 
@@ -68,14 +69,17 @@ def fit(config: FitConfig, training: TrainConfig, validate: Validate, progress: 
     model = build_model(config.model, task.layout, task.action_size, task.action_frame.vectors, config.settings)
     _fit_response(model, windows)
     checkpoint = config.out / "checkpoint"
-    description = {
+    description: dict[str, Any] = {
         "config": json.loads(json.dumps(asdict(training), default=str)),
         "data": _describe(config, dataset),
         "windows_boost": config.boost,
     }
     bank = scene_bank(task, dataset)
+    begun, cpu = time.perf_counter(), time.process_time()
 
     def save(trained: nn.Module, metrics: dict[str, float]) -> None:
+        description["minutes"] = (time.perf_counter() - begun) / 60
+        description["cpu_minutes_a_process"] = (time.process_time() - cpu) / 60
         save_checkpoint(checkpoint, trained, config.model, bank, description, {"validation": metrics})
 
     train(model, windows, training, config.out, lambda m: validate(m, held_out), save, progress)

@@ -77,9 +77,8 @@ class LinearBaseline(Still):
         effector, now = self.response.effector, state.poses()
         root = now[:, effector.root]
         step, openings = self._command(state, action)
-        moved_root = make_pose(
-            rotation_from_vector(step[:, 3:]) @ root[:, :3, :3], root[:, :3, 3] + step[:, :3]
-        )
+        position = self.response.confine(root[:, :3, 3] + step[:, :3])
+        moved_root = make_pose(rotation_from_vector(step[:, 3:]) @ root[:, :3, :3], position)
         held = {k: self._held(state, k, action) for k in self._free}
         openings = self._stop_at_object(openings, effector.openings(state.frames)[:, 0], held)
         moved = list(now.unbind(1))

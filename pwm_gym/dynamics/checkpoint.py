@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import zipfile
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -151,7 +152,7 @@ def _bank(path: Path, task: str, layout: Layout) -> SceneBank:
     try:
         with np.load(path, allow_pickle=False) as file:
             return SceneBank(task, layout, file["clouds"], file["poses"], file["goals"])
-    except (OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile) as error:
+    except (KeyError, TypeError, ValueError, OSError, EOFError, zipfile.BadZipFile, zlib.error) as error:
         raise CheckpointError(f"{path} is truncated or not a scene bank ({error})") from error
 
 

@@ -192,7 +192,7 @@ class CompactModel(nn.Module):
         angular = decoded[..., 5:8] @ turn.transpose(-1, -2) * _ROTATION
         alive = _aliveness(twists(frames[:, :, effector.root]), action[:, : self._arm_stop()])
         step = base + alive * torch.cat([linear[:, effector.root], angular[:, effector.root]], -1)
-        root = _displace(now[:, effector.root], step[:, :3], step[:, 3:])  # (B, 4, 4)
+        root = self._displace(now[:, effector.root], step)  # (B, 4, 4)
         moved = [torch.empty(0)] * len(self.layout)
         moved[effector.root] = root
         if effector.sliding:
@@ -203,6 +203,11 @@ class CompactModel(nn.Module):
             moved[k] = self._carry(now[:, k], state.clouds[:, state.layout.entities[k].slice], now, root, step,
                                    decoded[:, k], linear[:, k], angular[:, k])
         return torch.stack(moved, 1)
+
+    def _displace(self, pose: Tensor, step: Tensor) -> Tensor:
+        """Root pose (B, 4, 4) moved by a world-frame twist (B, 6), within the arm's reach."""
+        position = self.response.confine(pose[:, :3, 3] + step[:, :3])
+        return make_pose(rotation_from_vector(step[:, 3:]) @ pose[:, :3, :3], position)
 
     def _arm_stop(self) -> int:
         return max((b for _, b in self.action_vectors), default=self.action_size)
@@ -219,11 +224,6 @@ class CompactModel(nn.Module):
         rotation = rotation_from_vector(attached * step[:, 3:] + moving * angular) @ pose[:, :3, :3]
         there = centre + attached * carried + moving * linear
         return make_pose(rotation, there - (rotation @ middle.unsqueeze(-1)).squeeze(-1))
-
-
-def _displace(pose: Tensor, translation: Tensor, rotation: Tensor) -> Tensor:
-    """Pose (B, 4, 4) turned about its own origin and moved, both in the world frame."""
-    return make_pose(rotation_from_vector(rotation) @ pose[:, :3, :3], pose[:, :3, 3] + translation)
 
 
 def _gate(logit: Tensor) -> Tensor:

@@ -67,6 +67,7 @@ class LinearResponse(nn.Module):
 
     root_weight: Tensor
     slide_weight: Tensor
+    reach: Tensor
 
     def __init__(self, layout: Layout, action_size: int) -> None:
         super().__init__()
@@ -74,6 +75,7 @@ class LinearResponse(nn.Module):
         sliders = len(self.effector.sliding)
         self.register_buffer("root_weight", torch.zeros(12 + action_size, 6))
         self.register_buffer("slide_weight", torch.zeros(3 * sliders + action_size + 1, sliders))
+        self.register_buffer("reach", torch.tensor([torch.inf, -torch.inf, torch.inf]))
 
     def root_features(self, frames: Tensor, action: Tensor) -> Tensor:
         """(B, 12 + A): two world-frame twists of the root link and the action."""
@@ -91,9 +93,19 @@ class LinearResponse(nn.Module):
         slide = self.slide_features(openings, action) @ self.slide_weight
         return root, slide
 
+    def confine(self, position: Tensor) -> Tensor:
+        """Root position (B, 3) within the arm's reach: distance from the base's axis and height, as ever observed."""
+        farthest, lowest, highest = self.reach
+        radius = position[:, :2].norm(dim=-1, keepdim=True).clamp_min(1e-6)
+        flat = position[:, :2] * (farthest / radius).clamp_max(1.0)
+        return torch.cat([flat, torch.clamp(position[:, 2:], lowest, highest)], -1)
+
     @torch.no_grad()
     def fit(self, frames: Tensor, action: Tensor, following: Tensor) -> None:
         """Least squares over transitions: poses (B, 3, E, 4, 4), actions (B, A), next poses (B, E, 4, 4)."""
+        position = following[:, self.effector.root, :3, 3]
+        radius, height = position[:, :2].norm(dim=-1), position[:, 2]
+        self.reach.copy_(torch.stack([radius.max(), height.min(), height.max()]))
         after = torch.cat([following.unsqueeze(1), frames[:, :2]], 1)
         openings = self.effector.openings(frames)
         speeds = self.effector.openings(after)[:, 0] - openings[:, 0]

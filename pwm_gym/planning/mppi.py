@@ -34,13 +34,15 @@ class MPPIConfig:
     """Noise's standard deviation in action units, for each action dimension or one for all."""
     correlation: float = 0.7
     """Correlation of the noise from one step to the next; 0 is white."""
+    finest: float = 0.2
+    """The samples' noise is scaled from 1 down to this, so that some search wide and some refine."""
     iterations: int = 1
     """Rounds of sampling around the improved mean."""
 
     @classmethod
     def paper(cls, horizon: int = 10) -> MPPIConfig:
         """The paper's table; sigma 5 on actions in [-1, 1] saturates most samples."""
-        return cls(200, horizon, 64, 0.7, relative=False, sigma=(5.0,), correlation=0.0)
+        return cls(200, horizon, 64, 0.7, relative=False, sigma=(5.0,), correlation=0.0, finest=1.0)
 
 
 class MPPI:
@@ -93,14 +95,15 @@ class MPPI:
         return torch.cat([self._mean[:, 1:], self._mean[:, -1:]], 1)
 
     def _sample(self, mean: Tensor, generator: torch.Generator) -> Tensor:
-        """Sequences (B, S, H, A) around ``mean``; the first is the mean itself."""
+        """Sequences (B, S, H, A) around ``mean``; the last is the mean itself."""
         c = self.config
         shape = (len(mean), c.samples, c.horizon, self.action_size)
         noise = torch.randn(shape, generator=generator, device=mean.device)
         fresh = (1.0 - c.correlation**2) ** 0.5
         for h in range(1, c.horizon):
             noise[:, :, h] = c.correlation * noise[:, :, h - 1] + fresh * noise[:, :, h]
-        noise[:, 0] = 0.0
+        noise *= torch.linspace(1.0, c.finest, c.samples, device=mean.device)[:, None, None]
+        noise[:, -1] = 0.0
         return (mean.unsqueeze(1) + self._sigma * noise).clamp(-1.0, 1.0)
 
     def _average(self, actions: Tensor, costs: Tensor) -> Tensor:

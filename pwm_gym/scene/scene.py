@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import zipfile
+import zlib
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,8 @@ from pwm_gym.scene.state import RigidState
 
 __all__ = ["Scene", "batch_state"]
 
-_FIELDS = ("clouds", "poses", "goal", "joints", "joint_velocities", "last_action")
+_REQUIRED = ("clouds", "poses", "goal")
+_FIELDS = (*_REQUIRED, "joints", "joint_velocities", "last_action")
 
 
 @dataclass(frozen=True)
@@ -106,10 +108,12 @@ class Scene:
                 arrays = {k: file[k] for k in _FIELDS if k in file.files}
         except FileNotFoundError:
             raise
-        except (KeyError, ValueError, OSError, zipfile.BadZipFile) as error:
+        except (KeyError, TypeError, ValueError, OSError, EOFError, zipfile.BadZipFile, zlib.error) as error:
             raise SceneError(f"{path} is not a scene file ({error})") from error
         if header.get("format") != "pwm_gym.scene":
             raise SceneError(f"{path} has format {header.get('format')!r}; expected 'pwm_gym.scene'")
+        if missing := [k for k in _REQUIRED if k not in arrays]:
+            raise SceneError(f"{path} is not a scene file (it lacks {', '.join(missing)})")
         return cls(task=header["task"], layout=Layout.from_json(header["layout"]), **arrays)
 
 

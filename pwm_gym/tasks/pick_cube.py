@@ -22,7 +22,7 @@ __all__ = ["PICK_CUBE", "PickCubeExpert"]
 _CUBE_WIDTH = 0.04  # metres
 _GOAL_RADIUS = 0.025  # metres: ManiSkill's threshold for the cube's distance from the goal
 _JOINT_RATE = 2.9 * 20  # norm of joint speeds (rad/s) per metre a step of the hand; fitted on recorded episodes
-_STATIC = 0.0045  # metres a step of the hand at which ManiSkill's joints reach its static limit, 0.2 rad/s
+_STATIC = 0.0053  # metres a step of the hand that best tells ManiSkill's static limit (0.2 rad/s) on episodes
 
 Info = Mapping[str, Any]
 
@@ -86,8 +86,6 @@ register_terms(
 
 # The planners' cost: a grasp that cannot be fooled ----------------------------------------------------------------
 
-_WIDE = 0.03  # metres from the cube beyond which the gripper should be open
-_CORRIDOR = 0.012  # metres beside the cube's axis within which the fingers may come low
 _CLEAR = 0.05  # metres over the cube's centre at which open fingers clear its top
 
 
@@ -102,17 +100,27 @@ def _early(points: Points, info: Info) -> Tensor:
     gaps = terms.finger_gaps(points, "cube")
     width = (terms.centre(points, "left_gripper") - terms.centre(points, "right_gripper")).norm(dim=-1)
     shut = ((0.100 - width) / 0.04).clamp(0, 1)  # the fingers' centres are 10.7 cm apart when open, 2.7 cm shut
-    away = torch.sigmoid((_reach_distance(points) - 0.018) / 0.002)
     crushed = torch.sigmoid(-(gaps.amin(-1) + 0.006) / 0.002)
-    return shut * torch.maximum(away, crushed)
+    return shut * torch.maximum(_away(points), crushed)
 
 
 def _low(points: Points, info: Info) -> Tensor:
-    """Fingers beside the cube at a height where they push it."""
-    offset = terms.tool_centre(points) - terms.centre(points, "cube")
-    beside = (offset[..., :2].norm(dim=-1) - _CORRIDOR).clamp(0, 0.05) / 0.05
-    depth = ((_CLEAR - offset[..., 2]) / _CLEAR).clamp(0, 1)
-    return beside.sqrt() * depth * (1 - _firm(points, info))
+    """Fingers at the cube's height that overlap it along their own axis: coming closer, they would push it."""
+    height = terms.tool_centre(points)[..., 2] - terms.centre(points, "cube")[..., 2]
+    depth = ((_CLEAR - height) / _CLEAR).clamp(0, 1)
+    blocked = torch.sigmoid((0.004 - terms.finger_gaps(points, "cube").amin(-1)) / 0.002)
+    return blocked * depth * _away(points)
+
+
+def _away(points: Points) -> Tensor:
+    """Soft bool: the cube is not between the finger tips."""
+    return torch.sigmoid((_reach_distance(points) - 0.018) / 0.002)
+
+
+def _disturb(points: Points, info: Info) -> Tensor:
+    """Speed of a cube that is not held, in units of 5 mm a step: it is being pushed, or it falls."""
+    pushed = (terms.speed(info["velocity"], "cube") / 0.005).clamp_max(4.0)
+    return pushed * (1 - _firm(points, info))
 
 
 def _firm(points: Points, info: Info) -> Tensor:
@@ -126,7 +134,7 @@ def _firm(points: Points, info: Info) -> Tensor:
 def _carry(points: Points, info: Info) -> Tensor:
     """Distance from cube to goal counts once the grasp is firm."""
     distance = _goal_distance(points, info)
-    return _firm(points, info) * (3.0 - 5.0 * distance.clamp_max(0.4) - torch.tanh(distance / 0.02))
+    return _firm(points, info) * (4.0 - 8.0 * distance.clamp_max(0.4) - torch.tanh(distance / 0.03))
 
 
 def _settle(points: Points, info: Info) -> Tensor:
@@ -139,8 +147,9 @@ register_terms(
     "pick_cube_plan",  # reach from above with open fingers, pinch, carry, settle
     {
         "approach": (1.0, _approach),
-        "early": (2.0, _early),
-        "low": (2.0, _low),
+        "early": (4.0, _early),
+        "low": (3.0, _low),
+        "disturb": (0.5, _disturb),
         "carry": (-2.0, _carry),
         "settle": (0.3, _settle),
     },

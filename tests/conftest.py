@@ -1,0 +1,108 @@
+"""Fixtures that all tests share. One thread: the suites of several processes then do not fight for cores."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import torch
+
+import pwm_gym
+from pwm_gym.costs import COSTS
+from pwm_gym.data import CollectConfig, collect, load_split
+
+
+@pytest.fixture(scope="session", autouse=True)
+def one_thread():
+    torch.set_num_threads(1)
+
+
+@pytest.fixture(scope="session")
+def sim():
+    """PickCube's simulator twin, made once; each test resets it."""
+    env = gym.make("pwm/PickCubeSim-v0")
+    yield env
+    env.close()
+
+
+@pytest.fixture
+def env():
+    """PickCube's model environment."""
+    env = gym.make("pwm/PickCube-v0")
+    yield env
+    env.close()
+
+
+@pytest.fixture
+def scene(env) -> pwm_gym.Scene:
+    """A scene at rest of the shipped checkpoint's bank."""
+    env.reset(seed=0)
+    return env.unwrapped.scene()
+
+
+@pytest.fixture
+def costs():
+    """Costs registered by the test are forgotten after it."""
+    before = dict(COSTS)
+    yield COSTS
+    COSTS.clear()
+    COSTS.update(before)
+
+
+@pytest.fixture
+def random_actions():
+    """``random_actions(seed, *shape)``: actions in [-1, 1], float32."""
+
+    def draw(seed: int, *shape: int) -> np.ndarray:
+        return np.random.default_rng(seed).uniform(-1, 1, shape).astype(np.float32)
+
+    return draw
+
+
+class _Stub:
+    """A world model that moves the scene as a test says."""
+
+    def __init__(self, model, move):
+        self.layout, self.action_size, self._model, self._move = model.layout, model.action_size, model, move
+
+    def prepare(self, state):
+        return self._model.prepare(state)
+
+    def step(self, state, action):
+        return state.advance(self._move(state.poses().clone()))
+
+
+@pytest.fixture
+def replace_model():
+    """``replace_model(env, move)``: the world moves by ``move(poses (B, E, 4, 4))``, or stands still."""
+
+    def replace(env, move=lambda poses: poses):
+        base = env.unwrapped
+        core = getattr(base, "vector", base)
+        core.model = _Stub(core.model, move)
+
+    return replace
+
+
+@pytest.fixture
+def simulator(sim):
+    """PickCube's simulator itself."""
+    return sim.unwrapped.simulator
+
+
+@pytest.fixture(scope="session")
+def data_config(tmp_path_factory) -> CollectConfig:
+    """A data set of 4 demonstrations and 4 practice episodes, and one of each kind in validation and test."""
+    return CollectConfig(
+        out=tmp_path_factory.mktemp("data") / "set", episodes=8, held_out=2, workers=1, shard=2
+    )
+
+
+@pytest.fixture(scope="session")
+def data_folder(data_config):
+    """The data set of ``data_config``, collected once; tests copy it before they change it."""
+    return collect(data_config, progress=False)
+
+
+@pytest.fixture(scope="session")
+def train_split(data_folder):
+    """Training episodes of the small data set."""
+    return load_split(data_folder, "train")

@@ -1,0 +1,57 @@
+import numpy as np
+import pytest
+import trimesh
+from scipy.spatial import cKDTree
+
+from pwm_gym.errors import SceneError
+from pwm_gym.scene import Layout, resample_clouds, sample_clouds, sample_surface
+
+HALF = np.array([0.1, 0.05, 0.02])
+
+
+@pytest.fixture(scope="module")
+def box():
+    return trimesh.creation.box(2 * HALF)
+
+
+def covering_radius(chosen, surface):
+    return cKDTree(chosen).query(surface)[0].max()
+
+
+def test_points_lie_on_the_surface(box):
+    cloud = sample_surface(box, 300, seed=0)
+    assert cloud.shape == (300, 3) and cloud.dtype == np.float32
+    depth = HALF - np.abs(cloud)  # to the nearest face
+    assert np.abs(depth.min(1)).max() < 1e-6
+    assert (depth > -1e-6).all()
+
+
+@pytest.mark.parametrize("count", [16, 32, 128, 300])
+def test_every_prefix_is_better_spread_than_chance(box, count):
+    cloud = sample_surface(box, 300, seed=0)
+    surface = trimesh.sample.sample_surface(box, 4000, seed=1)[0]
+    by_chance = [
+        covering_radius(trimesh.sample.sample_surface(box, count, seed=s)[0], surface) for s in range(2, 7)
+    ]
+    assert covering_radius(cloud[:count], surface) < 0.85 * min(by_chance)
+
+
+def test_the_seed_decides(box):
+    a, b, c = (sample_surface(box, 50, seed) for seed in (0, 0, 1))
+    np.testing.assert_array_equal(a, b)
+    assert not np.array_equal(a, c)
+
+
+def test_clouds_of_a_layout_and_their_coarser_form(box):
+    layout = Layout.build([("box", 60), ("ball", 40)])
+    meshes = {"ball": trimesh.creation.icosphere(3, 0.03), "box": box}
+    clouds = sample_clouds(meshes, layout, seed=0)
+    assert clouds.shape == (100, 3)
+    np.testing.assert_allclose(np.linalg.norm(clouds[60:], axis=1), 0.03, atol=1e-3)
+    coarse = resample_clouds(clouds, layout, layout.resize(10))
+    np.testing.assert_array_equal(coarse, np.r_[clouds[:6], clouds[60:64]])
+
+
+def test_a_missing_mesh_is_named(box):
+    with pytest.raises(SceneError, match="no mesh for ball; got box"):
+        sample_clouds({"box": box}, Layout.build([("box", 5), ("ball", 5)]), seed=0)

@@ -1,0 +1,175 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from pwm_gym.dynamics.response import EndEffector
+from pwm_gym.errors import SceneError
+from pwm_gym.scene import Scene
+from pwm_gym.scene.se3 import matrix_from_pose7
+from pwm_gym.sim import SimOutcome, Simulator
+from pwm_gym.sim.headless import allow_headless
+from pwm_gym.tasks import get_task
+from pwm_gym.tasks.panda import tool_pose
+
+TASK = get_task("PickCube")
+CUBE = TASK.layout.index("cube")
+
+
+def trace(simulator, seed, actions):
+    """Poses (T + 1, E, 7), joints (T + 1, J) and outcomes of an episode."""
+    simulator.reset(seed)
+    poses, joints, outcomes = [simulator.poses()], [simulator.joints()[0]], []
+    for action in actions:
+        outcomes.append(simulator.step(action))
+        poses.append(simulator.poses())
+        joints.append(simulator.joints()[0])
+    return np.array(poses), np.array(joints), outcomes
+
+
+def expert_steps(simulator, seed, count):
+    simulator.reset(seed)
+    expert = TASK.expert(np.random.default_rng(seed))
+    for _ in range(count):
+        simulator.step(expert.act(simulator.poses(), simulator.goal()))
+
+
+def test_is_a_simulator(simulator):
+    assert isinstance(simulator, Simulator)
+    assert simulator.action_size == TASK.action_size
+
+
+def test_the_headless_probe_can_be_repeated(simulator):
+    import sapien.render
+
+    missing, material = allow_headless(), sapien.render.RenderMaterial
+    assert allow_headless() == missing
+    assert sapien.render.RenderMaterial is material
+    sapien.render.RenderMaterial().set_base_color([1, 1, 1, 1])  # what tasks do while they build
+
+
+def test_poses_are_in_the_frame_of_the_robots_base(simulator):
+    hands, cubes = [], []
+    for seed in range(20):
+        simulator.reset(seed)
+        poses = simulator.poses()
+        np.testing.assert_allclose(np.linalg.norm(poses[:, 3:], axis=1), 1, atol=1e-6)
+        hands.append(poses[0, :3])
+        cubes.append(poses[CUBE, :3])
+    np.testing.assert_allclose(np.mean(hands, 0), [0.615, 0.0, 0.28], atol=0.02)
+    cubes = np.array(cubes)
+    np.testing.assert_allclose(cubes[:, 2], 0.02, atol=1e-3)  # on the table, which is at the base's height
+    assert (np.abs(cubes[:, :2] - [0.615, 0.0]) < 0.101).all()  # ManiSkill spawns it within 10 cm of its origin
+
+
+def test_positions_differ_from_the_simulators_world_by_the_bases_place(simulator):
+    simulator.reset(3)
+    world = simulator.env.unwrapped.scene.actors["cube"].pose.p[0].numpy()
+    np.testing.assert_allclose(simulator.poses()[CUBE, :3] - world, [0.615, 0, 0], atol=1e-6)
+    goal = simulator.env.unwrapped.goal_site.pose.p[0].numpy()
+    np.testing.assert_allclose(simulator.goal() - goal, [0.615, 0, 0], atol=1e-6)
+
+
+def test_fingers_slide_on_the_hand_as_the_tasks_sliders_say(simulator, random_actions):
+    poses, joints, _ = trace(simulator, 0, random_actions(0, 40, TASK.action_size))
+    frames = matrix_from_pose7(torch.as_tensor(poses)).float()  # (T, E, 4, 4)
+    effector = EndEffector(TASK.layout)
+    openings = effector.openings(frames.unsqueeze(1).expand(-1, 3, -1, -1, -1))[:, 0]
+    np.testing.assert_allclose(openings, joints[:, 7:], atol=1e-4)
+    links = effector.links(frames[:, effector.root], torch.as_tensor(joints[:, 7:]))
+    torch.testing.assert_close(links[..., :3, 3], frames[:, effector.sliding, :3, 3], atol=1e-4, rtol=0)
+    torch.testing.assert_close(links[..., :3, :3], frames[:, effector.sliding, :3, :3], atol=1e-3, rtol=0)
+    assert joints[:, 7].std() > 1e-3
+
+
+def test_meshes_are_in_their_entities_frames(simulator):
+    meshes = simulator.meshes()
+    assert set(meshes) == set(TASK.layout.names)
+    np.testing.assert_allclose(meshes["cube"].bounds, [[-0.02] * 3, [0.02] * 3], atol=1e-6)
+    simulator.reset(1)
+    poses = matrix_from_pose7(torch.as_tensor(simulator.poses())).numpy()
+    lowest = {n: meshes[n].copy().apply_transform(poses[i]).bounds[0, 2] for i, n in enumerate(TASK.layout.names)}
+    assert lowest["cube"] == pytest.approx(0.0, abs=1e-3)  # it stands on the table
+    tips = min(lowest["left_gripper"], lowest["right_gripper"])
+    assert 0 < tool_pose(simulator.poses())[2] - tips < 0.015  # the tool centre is just above the finger tips
+    assert meshes["left_gripper"].bounds[:, 1] == pytest.approx([0, 0.026], abs=1e-3)  # its pad looks inwards
+
+
+def test_an_outcome_is_of_the_step_just_made(simulator, random_actions):
+    simulator.reset(0)
+    outcome = simulator.step(random_actions(1, TASK.action_size))
+    assert isinstance(outcome, SimOutcome)
+    assert (type(outcome.reward), type(outcome.success), type(outcome.grasped)) == (float, bool, bool)
+    assert 0 < outcome.reward < 1 and not outcome.success and not outcome.grasped
+    again = simulator.outcome()
+    assert again.reward == pytest.approx(outcome.reward)
+    assert (again.success, again.grasped) == (outcome.success, outcome.grasped)
+
+
+def test_the_seed_decides_the_episode(simulator, random_actions):
+    actions = random_actions(2, 15, TASK.action_size)
+    poses, joints, outcomes = trace(simulator, 7, actions)
+    expert_steps(simulator, 8, 40)  # whatever happened before
+    again, joints_again, outcomes_again = trace(simulator, 7, actions)
+    np.testing.assert_array_equal(again, poses)
+    np.testing.assert_array_equal(joints_again, joints)
+    assert outcomes_again == outcomes
+    assert not np.allclose(trace(simulator, 9, [])[0][0, CUBE], poses[0, CUBE])
+
+
+def scene_of(simulator, previous):
+    joints, speeds = simulator.joints()
+    return Scene(
+        task="PickCube",
+        layout=TASK.layout,
+        clouds=np.zeros((TASK.layout.points, 3), np.float32),
+        poses=np.stack([simulator.poses(), previous, previous]),
+        goal=simulator.goal(),
+        joints=joints,
+        joint_velocities=speeds,
+    )
+
+
+def test_an_episode_goes_on_from_a_restored_scene(simulator):
+    expert_steps(simulator, 4, 20)
+    before = simulator.poses()
+    simulator.step(np.zeros(7))
+    scene = scene_of(simulator, before)
+    actions = np.random.default_rng(0).uniform(-0.3, 0.3, (10, 7))
+    truth = [(simulator.step(a).reward, simulator.poses())[1] for a in actions]
+
+    expert_steps(simulator, 5, 10)
+    simulator.restore(scene)
+    np.testing.assert_allclose(simulator.poses()[CUBE], scene.poses[0, CUBE], atol=1e-5)
+    np.testing.assert_allclose(simulator.goal(), scene.goal, atol=1e-6)
+    np.testing.assert_array_equal(simulator.joints()[0], scene.joints)
+    replayed = [(simulator.step(a), simulator.poses())[1] for a in actions]
+    gap = np.linalg.norm(np.array(truth) - replayed, axis=-1)
+    assert gap[..., 0].max() < 0.01 and np.abs(np.array(truth)[..., :3] - np.array(replayed)[..., :3]).max() < 0.01
+
+
+def test_a_restored_cube_keeps_the_velocity_that_its_poses_tell(simulator):
+    simulator.reset(4)
+    scene = scene_of(simulator, simulator.poses())
+    poses = scene.poses.copy()
+    poses[:, CUBE, :3] = [0.3, 0.5, 0.4]  # in free fall beside the arm
+    poses[1:, CUBE, 1] -= 0.02  # 2 cm a step towards +y
+    simulator.restore(replace(scene, poses=poses))
+    start = simulator.poses()[CUBE]
+    simulator.step(np.zeros(7))
+    moved = simulator.poses()[CUBE] - start
+    assert moved[1] == pytest.approx(0.02, abs=1e-3)
+    assert moved[2] == pytest.approx(-9.81 * 0.01**2 * (1 + 2 + 3 + 4 + 5), abs=1e-4)  # five substeps of 10 ms
+
+
+def test_a_scene_without_joints_cannot_start_a_simulator(simulator):
+    simulator.reset(0)
+    with pytest.raises(SceneError, match=r"scene\.joints is None"):
+        simulator.restore(replace(scene_of(simulator, simulator.poses()), joints=None))
+
+
+def test_closing_twice_is_harmless():
+    simulator = TASK.simulator()
+    simulator.close()
+    simulator.close()
