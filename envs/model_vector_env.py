@@ -229,9 +229,7 @@ class ModelVectorEnv(EzPickle, gym.vector.VectorEnv[dict[str, np.ndarray], np.nd
         self._done[mask] = False
 
     @torch.no_grad()
-    def step(
-        self, actions: np.ndarray | Tensor
-    ) -> tuple[dict[str, Any], Any, np.ndarray, np.ndarray, dict[str, Any]]:
+    def step(self, actions: np.ndarray | Tensor) -> tuple[dict[str, Any], Any, np.ndarray, np.ndarray, dict[str, Any]]:
         """One control step of every environment under actions (num_envs, A) in [-1, 1]."""
         action = check_actions(actions, self.action_space.shape or ()).to(self.device)
         if self.autoreset_mode is AutoresetMode.DISABLED and self._done.any():

@@ -28,9 +28,7 @@ class Args:
 def main(args: Args) -> None:
     """Run one closed-loop episode."""
     model = gym.make("pwm/PickCube-v0").unwrapped.model
-    config = pwm_gym.planning.MPPIConfig(
-        samples=args.samples, horizon=args.horizon, elites=min(64, args.samples)
-    )
+    config = pwm_gym.planning.MPPIConfig(samples=args.samples, horizon=args.horizon, elites=min(64, args.samples))
     agent = pwm_gym.planning.Agent(model, "PickCube", config)
 
     twin = gym.make("pwm/PickCubeSim-v0")

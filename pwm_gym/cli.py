@@ -32,7 +32,7 @@ Command = (
 
 def main(args: list[str] | None = None) -> None:
     """Run a subcommand; errors about its input are one line, without a traceback."""
-    command: Any = tyro.cli(Command, prog="pwm-gym", args=args)  # type: ignore[call-overload]
+    command: Any = tyro.cli(Command, prog="pwm-gym", args=args)
     try:
         command.run()
     except PwmGymError as error:

@@ -15,9 +15,7 @@ __all__ = ["EntityPoses", "FlattenPoints"]
 _KEYS = ("points", "velocity", "previous_velocity", "goal")
 
 
-class FlattenPoints(
-    gym.ObservationWrapper[np.ndarray, np.ndarray, dict[str, np.ndarray]], RecordConstructorArgs
-):
+class FlattenPoints(gym.ObservationWrapper[np.ndarray, np.ndarray, dict[str, np.ndarray]], RecordConstructorArgs):
     """Points, both velocities and the goal as one float32 vector (9 N + G,), in this order.
 
     Example:
@@ -39,9 +37,7 @@ class FlattenPoints(
         return np.concatenate([observation[k].ravel() for k in _KEYS])
 
 
-class EntityPoses(
-    gym.ObservationWrapper[np.ndarray, np.ndarray, dict[str, np.ndarray]], RecordConstructorArgs
-):
+class EntityPoses(gym.ObservationWrapper[np.ndarray, np.ndarray, dict[str, np.ndarray]], RecordConstructorArgs):
     """Entities' positions, rotations (two columns) and velocities, and the goal: float32 (12 E + G,).
 
     Positions in metres, velocities in metres a step, in the robot base's frame.

@@ -41,9 +41,7 @@ class RecordRollout(gym.Wrapper[Any, np.ndarray, Any, np.ndarray], RecordConstru
         base: Any = self.env.unwrapped
         return pose7_from_matrix(base.state.poses()[0].double().cpu()).numpy()
 
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Any, dict[str, Any]]:
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Reset, and write the episode that was under way."""
         self.flush()
         observation, info = self.env.reset(seed=seed, options=options)

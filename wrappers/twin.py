@@ -40,7 +40,8 @@ class Twin(gym.Wrapper[dict[str, np.ndarray], np.ndarray, dict[str, np.ndarray],
 
     Observations, rewards and ends are the model's. ``info["twin"]`` is the simulator's info with its
     ``reward`` and ends, and ``info["divergence"]`` tells how far the worlds are apart: ``chamfer_l1``,
-    ``position`` and ``rotation`` of each entity, and ``reward`` (model's minus simulator's, of the same cost).
+    ``position`` and ``rotation`` of each entity, and ``reward`` (model's minus simulator's, of the same
+    cost).
 
     Example:
         >>> env = Twin(gym.make("pwm/PickCube-v0"), gym.make("pwm/PickCubeSim-v0"))  # doctest: +SKIP
@@ -84,9 +85,7 @@ class Twin(gym.Wrapper[dict[str, np.ndarray], np.ndarray, dict[str, np.ndarray],
         gap = float(reward) - float(twin_reward)
         return observation, reward, terminated, truncated, self._with_divergence(info, twin_info, gap)
 
-    def _with_divergence(
-        self, info: dict[str, Any], twin_info: dict[str, Any], reward: float
-    ) -> dict[str, Any]:
+    def _with_divergence(self, info: dict[str, Any], twin_info: dict[str, Any], reward: float) -> dict[str, Any]:
         apart = divergence(self._model.state, self._simulator.state)
         return {**info, "twin": twin_info, "divergence": {**apart, "reward": reward}}
 

@@ -46,8 +46,10 @@ class Bench:
 
         torch.set_num_threads(self.threads)
         results: dict[str, Any] = {"start": _start(self.task)}
-        print(f"gym.make + reset in a fresh process: {results['start']['seconds']:.2f} s, "
-              f"{results['start']['gib']:.2f} GiB")
+        print(
+            f"gym.make + reset in a fresh process: {results['start']['seconds']:.2f} s, "
+            f"{results['start']['gib']:.2f} GiB"
+        )
         results["simulator_steps_per_second"] = base = self._simulator()
         print(f"raw simulator env.step: {base:.0f} steps/s")
         results["model_steps_per_second"] = {n: self._model(n) for n in self.num_envs}

@@ -41,10 +41,10 @@ class Plan:
 
         import pwm_gym  # noqa: F401  (registers)
         from pwm_gym.dynamics import load_checkpoint, resolve
+        from pwm_gym.errors import unknown_name
         from pwm_gym.evaluation import planning_table, run_episodes, write_results
         from pwm_gym.planning import Agent
         from pwm_gym.seeds import RANGES, seed_range
-        from pwm_gym.errors import unknown_name
 
         if self.seeds not in RANGES:
             raise unknown_name("range of seeds", self.seeds, RANGES)

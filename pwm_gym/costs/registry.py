@@ -191,9 +191,7 @@ def _each(function: Function) -> Function:
     def batched(points: Points, info: Info) -> Tensor:
         goal = info["goal"]
         cfg = (SimpleNamespace(device=goal.device),) if takes_cfg else ()
-        values = [
-            function(*cfg, {n: points[n][b] for n in points}, _element(info, b)) for b in range(len(goal))
-        ]
+        values = [function(*cfg, {n: points[n][b] for n in points}, _element(info, b)) for b in range(len(goal))]
         return torch.stack([torch.as_tensor(v, dtype=goal.dtype, device=goal.device) for v in values])
 
     return batched

@@ -13,7 +13,10 @@ Points = Mapping[str, Tensor]
 
 _TOOL_RATIO = 0.355  # (tool - fingers) / (fingers - hand) along the Panda hand's axis, of its collision meshes
 _CLOSE = 0.025  # the paper's grasp distance
-_PRESSED = (-0.005, -0.0008)  # metres: ManiSkill's pads sink 1.6 to 2.8 mm into a held object, and stop short else
+_PRESSED = (
+    -0.005,
+    -0.0008,
+)  # metres: ManiSkill's pads sink 1.6 to 2.8 mm into a held object, and stop short else
 
 
 def centre(points: Points, name: str) -> Tensor:
@@ -42,7 +45,7 @@ def finger_gaps(points: Points, name: str) -> Tensor:
 
 
 def near_and_shut(points: Points, action: Tensor, name: str) -> Tensor:
-    """Bool (B,): tool centre within 2.5 cm of the object's, gripper commanded shut (paper, appendix "Cost Function")."""
+    """Bool (B,): tool centre within 2.5 cm of the object's, gripper commanded shut (paper, appendix "Cost")."""
     near = (tool_centre(points) - centre(points, name)).norm(dim=-1) <= _CLOSE
     return near & (action[..., -1] < 0)
 

@@ -5,4 +5,14 @@ from pwm_gym.data.dataset import Dataset, Windows, load_split
 from pwm_gym.data.episodes import KINDS, Episode
 from pwm_gym.data.fitting import FitConfig, fit
 
-__all__ = ["KINDS", "CollectConfig", "Dataset", "Episode", "FitConfig", "Windows", "collect", "fit", "load_split"]
+__all__ = [
+    "KINDS",
+    "CollectConfig",
+    "Dataset",
+    "Episode",
+    "FitConfig",
+    "Windows",
+    "collect",
+    "fit",
+    "load_split",
+]

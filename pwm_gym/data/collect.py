@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
+from pwm_gym.data.dataset import read_header
 from pwm_gym.data.episodes import KINDS, Episode, read_shard, write_atomically, write_shard
 from pwm_gym.data.policies import Behaviour, Demonstration, OnPolicy, Practice
 from pwm_gym.dynamics.checkpoint import load_checkpoint, resolve
@@ -98,9 +99,9 @@ def _write_header(config: CollectConfig, task: Task) -> None:
     }
     path = config.out / "dataset.json"
     if path.exists():
-        old = json.loads(path.read_text())
-        if old.get("settings") != settings:
-            raise DatasetError(f"{config.out} was collected with {old.get('settings')}; expected {settings}")
+        found = read_header(config.out)["settings"]
+        if found != settings:
+            raise DatasetError(f"{config.out} was collected with {found}; expected {settings}")
         return
     simulator = task.simulator()
     clouds = sample_clouds(simulator.meshes(), task.layout, task.cloud_seed)
@@ -179,9 +180,7 @@ def _behaviours(job: _Job, task: Task) -> Callable[[int], Behaviour]:
     return lambda seed: OnPolicy(task, agent, clouds, seed)
 
 
-def record_episode(
-    simulator: Simulator, seed: int, make: Callable[[int], Behaviour], limit: int
-) -> Episode:
+def record_episode(simulator: Simulator, seed: int, make: Callable[[int], Behaviour], limit: int) -> Episode:
     """One episode of at most ``limit`` steps from ``seed``; at least three, so that it has both velocities."""
     simulator.reset(seed)
     behaviour = make(seed)

@@ -23,6 +23,7 @@ from pwm_gym.scene import Layout, Scene
 __all__ = ["SCHEMA", "SHIPPED", "Checkpoint", "SceneBank", "load_checkpoint", "resolve", "save_checkpoint"]
 
 SCHEMA = 1
+_KEYS = {"task", "model", "config", "layout", "action_size", "action_vectors"}
 SHIPPED = Path(__file__).parent.parent / "checkpoints"
 """Folder of the checkpoints that come with the package, one a task."""
 
@@ -113,9 +114,8 @@ def load_checkpoint(folder: str | Path, task: str | None = None, device: str = "
         raise CheckpointError(f"{folder} is a checkpoint of task {description['task']!r}; expected {task!r}")
     layout = Layout.from_json(description["layout"])
     vectors = tuple((a, b) for a, b in description["action_vectors"])
-    model = build_model(
-        description["model"], layout, description["action_size"], vectors, description["config"]
-    )
+    with torch.random.fork_rng(devices=[]):  # fresh weights are drawn only to be replaced
+        model = build_model(description["model"], layout, description["action_size"], vectors, description["config"])
     _load_weights(model, folder / "model.safetensors")
     model.eval().requires_grad_(False)
     bank = _bank(folder / "scenes.npz", description["task"], layout)
@@ -130,10 +130,14 @@ def _description(folder: Path) -> dict[str, Any]:
         description = json.loads(path.read_text())
     except json.JSONDecodeError as error:
         raise CheckpointError(f"{path} is truncated or not JSON ({error})") from error
-    if description.get("format") != "pwm_gym.checkpoint":
-        raise CheckpointError(f"{path} has format {description.get('format')!r}; expected 'pwm_gym.checkpoint'")
-    if description["schema"] > SCHEMA:
+    found = description.get("format") if isinstance(description, dict) else type(description).__name__
+    if found != "pwm_gym.checkpoint":
+        raise CheckpointError(f"{path} has format {found!r}; expected 'pwm_gym.checkpoint'")
+    if description.get("schema", 0) > SCHEMA:
         raise CheckpointError(f"{path} has schema {description['schema']}; this version reads up to {SCHEMA}")
+    missing = _KEYS - description.keys()
+    if missing:
+        raise CheckpointError(f"{path} lacks {', '.join(sorted(missing))}")
     return description
 
 

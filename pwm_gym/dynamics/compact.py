@@ -74,9 +74,7 @@ class CompactModel(nn.Module):
         effector = self.response.effector
         self._free = [i for i, e in enumerate(layout) if not e.effector]
         c, sliders = self.config, len(effector.sliding)
-        self.point_net = nn.Sequential(
-            nn.Linear(5, c.point_width), nn.ReLU(), nn.Linear(c.point_width, c.point_width)
-        )
+        self.point_net = nn.Sequential(nn.Linear(5, c.point_width), nn.ReLU(), nn.Linear(c.point_width, c.point_width))
         context = 7 + 18 + 4 * sliders  # see _context
         self.token = nn.Linear(2 * c.point_width + 24 + context, c.width)
         self.kind = nn.Parameter(0.02 * torch.randn(len(layout), c.width))
@@ -101,9 +99,7 @@ class CompactModel(nn.Module):
         decoded = self._decode(state, openings, base, slide, action)  # (B, E, 8)
         return state.advance(self._move(state, openings[:, 0], base, slide, action, decoded))
 
-    def _decode(
-        self, state: RigidState, openings: Tensor, base: Tensor, slide: Tensor, action: Tensor
-    ) -> Tensor:
+    def _decode(self, state: RigidState, openings: Tensor, base: Tensor, slide: Tensor, action: Tensor) -> Tensor:
         """Attention over [entities, action, registers]; (B, E, 8)."""
         entities = self._entities(state, self._context(state.frames, openings, base, slide))
         command = self.action(self._turned(action, self._root(state.frames)[:, :3, :3])).unsqueeze(1)
@@ -200,8 +196,16 @@ class CompactModel(nn.Module):
             for k, pose in zip(effector.sliding, effector.links(root, widths).unbind(1), strict=True):
                 moved[k] = pose
         for k in self._free:
-            moved[k] = self._carry(now[:, k], state.clouds[:, state.layout.entities[k].slice], now, root, step,
-                                   decoded[:, k], linear[:, k], angular[:, k])
+            moved[k] = self._carry(
+                now[:, k],
+                state.clouds[:, state.layout.entities[k].slice],
+                now,
+                root,
+                step,
+                decoded[:, k],
+                linear[:, k],
+                angular[:, k],
+            )
         return torch.stack(moved, 1)
 
     def _displace(self, pose: Tensor, step: Tensor) -> Tensor:
@@ -212,8 +216,17 @@ class CompactModel(nn.Module):
     def _arm_stop(self) -> int:
         return max((b for _, b in self.action_vectors), default=self.action_size)
 
-    def _carry(self, pose: Tensor, cloud: Tensor, now: Tensor, root: Tensor, step: Tensor,
-               decoded: Tensor, linear: Tensor, angular: Tensor) -> Tensor:
+    def _carry(
+        self,
+        pose: Tensor,
+        cloud: Tensor,
+        now: Tensor,
+        root: Tensor,
+        step: Tensor,
+        decoded: Tensor,
+        linear: Tensor,
+        angular: Tensor,
+    ) -> Tensor:
         """Next pose (B, 4, 4) of a free entity: carried by the end effector, moved on its own, or neither."""
         attached, moving = _gate(decoded[:, 0:1]), _gate(decoded[:, 1:2])
         middle = cloud.mean(1)  # canonical

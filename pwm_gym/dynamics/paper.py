@@ -80,12 +80,8 @@ class _Conditioning(nn.Module):
         self.registers = nn.Parameter(torch.empty(config.registers, size))
         nn.init.trunc_normal_(self.registers, std=0.02)
         heads = config.bottleneck_heads
-        self.cross = nn.ModuleList(
-            _Attention(size, heads, config, cross=True) for _ in range(config.cross_layers)
-        )
-        self.mix = nn.ModuleList(
-            _Attention(size, heads, config, cross=False) for _ in range(config.self_layers)
-        )
+        self.cross = nn.ModuleList(_Attention(size, heads, config, cross=True) for _ in range(config.cross_layers))
+        self.mix = nn.ModuleList(_Attention(size, heads, config, cross=False) for _ in range(config.self_layers))
 
     def forward(self, x: Tensor, level: Level, action: Tensor) -> Tensor:
         """Features (M, C) of ``x`` (M, C), the bottleneck tokens of all scenes, under ``action`` (B, A)."""

@@ -242,9 +242,7 @@ class _Run:
     def update(self, batches: Batches) -> float:
         """One optimiser step; returns its loss."""
         horizon, size = self.config.phase(self.step)
-        generator = torch.Generator().manual_seed(
-            (self.config.seed * 1_000_003 + self.step) * 1_009 + self.rank
-        )
+        generator = torch.Generator().manual_seed((self.config.seed * 1_000_003 + self.step) * 1_009 + self.rank)
         batch = batches.sample(generator, max(1, size // self.world), horizon)
         batch = Batch(*(getattr(batch, f).to(self.config.device) for f in batch.__dataclass_fields__))
         for group in self.optimizer.param_groups:

@@ -49,7 +49,10 @@ def chaos_floor(simulator: Simulator, task: Task, dataset: Dataset, progress: bo
     distances, errors = zip(*rows, strict=True)
     return {
         "chamfer_l1": float(np.mean(distances)),
-        f"{task.object}_last_mm": {"mean": 1e3 * float(np.mean(errors)), "median": 1e3 * float(np.median(errors))},
+        f"{task.object}_last_mm": {
+            "mean": 1e3 * float(np.mean(errors)),
+            "median": 1e3 * float(np.median(errors)),
+        },
     }
 
 

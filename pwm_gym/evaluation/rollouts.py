@@ -99,7 +99,9 @@ def _overwrite(state: State, truth: Tensor, links: Tensor) -> State:
         return rigid
     kept = torch.as_tensor(links.numpy()[state.layout.ids])[:, None]
     points = torch.where(kept, rigid.points(), state.points())
-    return type(state)(  # type: ignore[call-arg]
+    return type(
+        state
+    )(  # type: ignore[call-arg]
         state.layout, state.clouds, torch.cat([points.unsqueeze(1), state.frames[:, 1:]], 1)
     )
 

@@ -134,9 +134,7 @@ class Layout:
         def entity(item: dict[str, Any]) -> Entity:
             slider = item.get("slider")
             if slider is not None:
-                slider = Slider(
-                    slider["parent"], tuple(slider["origin"]), tuple(slider["axis"]), slider["upper"]
-                )
+                slider = Slider(slider["parent"], tuple(slider["origin"]), tuple(slider["axis"]), slider["upper"])
             return Entity(item["name"], item["start"], item["stop"], item["effector"], slider)
 
         return cls(tuple(map(entity, data)))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 import zipfile
 import zlib
 from dataclasses import dataclass, replace
@@ -59,19 +60,22 @@ class Scene:
         counts, wanted = ([e.points for e in x] for x in (self.layout, layout))
         if any(c < w for c, w in zip(counts, wanted, strict=True)):
             raise SceneError(f"the scene's point counts are {counts}; expected at least {wanted}")
-        shapes = {
+        shapes: dict[str, tuple[int, ...]] = {
             "clouds": (self.layout.points, 3),
             "poses": (3, len(layout), 7),
             "goal": (goal_size,),
         }
+        for name in ("joints", "joint_velocities"):
+            if getattr(self, name) is not None:
+                shapes[name] = (np.size(self.joints),)
         for name, shape in shapes.items():
             array = getattr(self, name)
+            if not isinstance(array, np.ndarray):
+                raise SceneError(f"scene.{name} is a {type(array).__name__}; expected an array of shape {shape}")
             if array.shape != shape:
                 raise SceneError(f"scene.{name} has shape {array.shape}; expected {shape}")
             if not np.isfinite(array).all():
-                raise SceneError(
-                    f"scene.{name} holds {int((~np.isfinite(array)).sum())} values that are not finite"
-                )
+                raise SceneError(f"scene.{name} holds {int((~np.isfinite(array)).sum())} values that are not finite")
         norms = np.linalg.norm(self.poses[..., 3:], axis=-1)
         if np.abs(norms - 1).max() > 1e-2:
             raise SceneError(f"scene.poses has a quaternion of norm {norms.flat[np.abs(norms - 1).argmax()]:.3f}")
@@ -85,8 +89,6 @@ class Scene:
 
     def save(self, path: str | Path) -> None:
         """Write the scene to an ``.npz`` file (arrays and JSON text, no pickle)."""
-        import json
-
         arrays: dict[str, Any] = {k: v for k in _FIELDS if (v := getattr(self, k)) is not None}
         header = {"format": "pwm_gym.scene", "schema": 1, "task": self.task, "layout": self.layout.to_json()}
         buffer = io.BytesIO()
@@ -100,8 +102,6 @@ class Scene:
         Raises:
             SceneError: the file is truncated or not a scene.
         """
-        import json
-
         try:
             with np.load(path, allow_pickle=False) as file:
                 header = json.loads(str(file["header"]))

@@ -13,8 +13,8 @@ from torch import Tensor
 __all__ = [
     "inverse",
     "make_pose",
-    "motion_vector",
     "matrix_from_pose7",
+    "motion_vector",
     "pose7_from_matrix",
     "rotation_angle",
     "rotation_from_vector",

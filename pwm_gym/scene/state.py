@@ -83,8 +83,7 @@ class RigidState:
 
     def _points_at(self, step: int) -> Tensor:
         parts = [
-            transform(self.frames[..., step, i, :, :], self.clouds[..., e.slice, :])
-            for i, e in enumerate(self.layout)
+            transform(self.frames[..., step, i, :, :], self.clouds[..., e.slice, :]) for i, e in enumerate(self.layout)
         ]
         return torch.cat(parts, -2)
 

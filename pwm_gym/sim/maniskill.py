@@ -38,15 +38,23 @@ class ManiSkillSimulator:
     ) -> None:
         self.env = _make(task, control_mode)
         self._base: Any = self.env.unwrapped
-        robot = self._base.agent.robot
-        links = {link.name: link for link in robot.get_links()}
-        self._links = {name for name, body in bodies.items() if body in links}
-        self._structs = {n: links[b] if b in links else self._base.scene.actors[b] for n, b in bodies.items()}
-        self._entities = {n: _entity(s) for n, s in self._structs.items()}
-        self._goal = self._base.scene.actors[goal]
-        self._robot = robot
-        self._world = _pose7(robot.get_links()[0]._objs[0].entity.pose)  # the base in the simulator's world
+        self._bodies, self._goal_name = dict(bodies), goal
+        self._bind()
+        self._world = _pose7(self._robot.get_links()[0]._objs[0].entity.pose)  # the base in the simulator's world
         self.action_size = int(np.prod(self.env.action_space.shape))
+
+    def _bind(self) -> None:
+        """Find robot, entities and goal in the scene as it has just been built."""
+        self._robot, actors = self._base.agent.robot, self._base.scene.actors
+        links = {link.name: link for link in self._robot.get_links()}
+        self._links = {name for name, body in self._bodies.items() if body in links}
+        self._entities = {n: _entity(links[b] if b in links else actors[b]) for n, b in self._bodies.items()}
+        self._goal = actors[self._goal_name]
+
+    def _rebuild(self, seed: int) -> None:
+        """Build the scene anew: PhysX orders contacts by what happened before, which ends in millimetres."""
+        self.env.reset(seed=seed, options={"reconfigure": True})
+        self._bind()
 
     def meshes(self) -> dict[str, trimesh.Trimesh]:
         """Collision surfaces, in each entity's own frame (metres)."""
@@ -54,7 +62,7 @@ class ManiSkillSimulator:
 
     def reset(self, seed: int) -> None:
         """Start the episode of ``seed``."""
-        self.env.reset(seed=int(seed))
+        self._rebuild(int(seed))
 
     def restore(self, scene: Scene) -> None:
         """Put robot, objects and goal where ``scene`` says, with the velocities that its poses tell.
@@ -67,7 +75,7 @@ class ManiSkillSimulator:
         import sapien
         import torch
 
-        self.env.reset(seed=0)
+        self._rebuild(0)
         self._robot.set_qpos(torch.as_tensor(scene.joints, dtype=torch.float32)[None])
         self._robot.set_qvel(torch.as_tensor(scene.joint_velocities, dtype=torch.float32)[None])
         goal = _compose(self._world, np.r_[scene.goal, 1, 0, 0, 0])

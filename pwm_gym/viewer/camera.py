@@ -72,9 +72,7 @@ class Camera:
         seen = (np.asarray(points, dtype=np.float64) - self.eye) @ self.axes.T
         depth = seen[:, 2]
         scale = self.focal / np.where(depth > _NEAR, depth, np.nan)
-        return np.stack(
-            [0.5 * self.width + scale * seen[:, 0], 0.5 * self.height + scale * seen[:, 1], depth], 1
-        )
+        return np.stack([0.5 * self.width + scale * seen[:, 0], 0.5 * self.height + scale * seen[:, 1], depth], 1)
 
     def rays(self) -> np.ndarray:
         """Directions (H, W, 3) through the pixels' centres, world frame, of unit depth."""

@@ -56,9 +56,7 @@ def swatch(image: Image.Image, at: tuple[float, float], color: Color, size: int 
     side = size * _SMOOTH
     mask = Image.new("L", (side, side), 0)
     ImageDraw.Draw(mask).rounded_rectangle((0, 0, side - 1, side - 1), side // 4, fill=255)
-    image.paste(
-        color, (round(at[0]), round(at[1] - size / 2)), mask.resize((size, size), Image.Resampling.BOX)
-    )
+    image.paste(color, (round(at[0]), round(at[1] - size / 2)), mask.resize((size, size), Image.Resampling.BOX))
 
 
 def dot(image: Image.Image, at: tuple[float, float], color: Color, radius: int = 5) -> None:
@@ -182,8 +180,7 @@ class Chart:
         left, top, right, bottom = (v + pad for v, pad in zip(self.plot, (-4, -4, 4, 4), strict=True))
         large = Image.new("L", ((right - left) * _SMOOTH, (bottom - top) * _SMOOTH), 0)
         points = [
-            ((self.x(i) - left) * _SMOOTH, (self.y(float(v)) - top) * _SMOOTH)
-            for i, v in enumerate(curve.values)
+            ((self.x(i) - left) * _SMOOTH, (self.y(float(v)) - top) * _SMOOTH) for i, v in enumerate(curve.values)
         ]
         if len(points) > 1:
             ImageDraw.Draw(large).line(points, fill=255, width=round(2.2 * _SMOOTH), joint="curve")

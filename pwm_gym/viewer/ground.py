@@ -130,12 +130,8 @@ def _warp(
     top, bottom, _ = area[0].indices(camera.height)
     left, right, _ = area[1].indices(camera.width)
     right_axis, down, forward = camera.axes
-    corner = (
-        (left - camera.width / 2) * right_axis + (top - camera.height / 2) * down + camera.focal * forward
-    )
-    ray = np.stack(
-        [right_axis, down, corner], 1
-    )  # columns: of (u, v, 1), the pixel counted from the area's corner
+    corner = (left - camera.width / 2) * right_axis + (top - camera.height / 2) * down + camera.focal * forward
+    ray = np.stack([right_axis, down, corner], 1)  # columns: of (u, v, 1), the pixel counted from the area's corner
     start = (np.array(camera.eye[:2]) - low) / cell + 0.5
     x, y = (start[i] * ray[2] + (height - camera.eye[2]) / cell * ray[i] for i in (0, 1))
     terms = np.concatenate([y, x, ray[2]]) / (ray[2, 2] or 1e-9)

@@ -16,9 +16,7 @@ __all__ = ["render"]
 
 _CHUNK = 2_000_000  # fragments (point x pixel) formed at once, for memory
 _MAX_DISC = 0.08  # largest disc radius as a part of the image's height: a point at the lens hides no scene
-_LIGHT = np.array(
-    [-0.45, -0.65, 0.61], dtype=np.float32
-)  # towards the light: image right, down, to the viewer
+_LIGHT = np.array([-0.45, -0.65, 0.61], dtype=np.float32)  # towards the light: image right, down, to the viewer
 _EMPTY = np.iinfo(np.int64).max
 
 
@@ -97,9 +95,7 @@ def _draw_points(
     visible = np.isfinite(seen[:, 0])
     seen, paint, radii = seen[visible], paint[visible], radii[visible]
     pixels = np.clip(camera.focal * radii / seen[:, 2], 0.5, _MAX_DISC * camera.height)
-    discs = np.column_stack([seen, pixels, radii]).astype(
-        np.float32
-    )  # u, v, depth, radius (pixels), radius (metres)
+    discs = np.column_stack([seen, pixels, radii]).astype(np.float32)  # u, v, depth, radius (pixels), radius (metres)
     buffer = _rasterise(discs, camera)
     drawn = np.flatnonzero(buffer != _EMPTY)
     winner = buffer[drawn] & 0xFFFFFFFF
@@ -180,9 +176,7 @@ def _lit(paint: np.ndarray, light: np.ndarray) -> np.ndarray:
     return np.where(light < 1, paint * light, 1 - (1 - paint) * np.maximum(2 - light, 0)).astype(np.float32)
 
 
-def _draw_sphere(
-    layer: np.ndarray, depth: np.ndarray, centre: np.ndarray, radius: float, camera: Camera
-) -> None:
+def _draw_sphere(layer: np.ndarray, depth: np.ndarray, centre: np.ndarray, radius: float, camera: Camera) -> None:
     """Blend a translucent sphere into ``layer`` (H, W, 4), behind the points whose ``depth`` is nearer."""
     u, v, middle = camera.project(centre[None])[0]
     if not np.isfinite(u):

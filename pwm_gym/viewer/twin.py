@@ -70,9 +70,7 @@ class TwinRecord:
             if values is not None and np.shape(values) != shape[:1]:
                 raise PwmGymError(f"{name} has shape {np.shape(values)}; expected {shape[:1]}")
             if values is not None and not np.isfinite(values).all():
-                raise PwmGymError(
-                    f"{int((~np.isfinite(values)).sum())} of {shape[0]} {name} values are not finite"
-                )
+                raise PwmGymError(f"{int((~np.isfinite(values)).sum())} of {shape[0]} {name} values are not finite")
 
     @property
     def steps(self) -> int:
@@ -85,9 +83,7 @@ class TwinRecord:
             eye, target, up, fov = self.camera.eye, self.camera.target, self.camera.up, self.camera.fov
             return Camera(eye, target, up, fov, size, size)
         low, high = (f(np.asarray(self.true), axis=(0, 1)) for f in (np.min, np.max))
-        near = np.clip(
-            self.predicted, low - 0.05, high + 0.05
-        )  # a prediction that flies off may leave the image
+        near = np.clip(self.predicted, low - 0.05, high + 0.05)  # a prediction that flies off may leave the image
         clouds = [np.asarray(self.true), near]
         if self.goal is not None:
             clouds.append(np.asarray(self.goal)[:3] + 0.02 * np.array([[-1, -1, -1], [1, 1, 1]]))
@@ -131,15 +127,11 @@ def write_gif(
     indexed = [f.quantize(palette=palette, dither=Image.Dither.NONE) for f in frames]
     durations = [round(1000 / fps)] * (len(steps) - 1) + [1500]  # the end stands still for a moment
     path = Path(path)
-    indexed[0].save(
-        path, "GIF", save_all=True, append_images=indexed[1:], duration=durations, loop=0, disposal=1
-    )
+    indexed[0].save(path, "GIF", save_all=True, append_images=indexed[1:], duration=durations, loop=0, disposal=1)
     return path
 
 
-def write_png(
-    record: TwinRecord, path: str | Path, steps: Sequence[int] | None = None, panel: int = 208
-) -> Path:
+def write_png(record: TwinRecord, path: str | Path, steps: Sequence[int] | None = None, panel: int = 208) -> Path:
     """Write a contact sheet: a column a step, rows predicted, true, both; the error below. Returns its path.
 
     Args:

@@ -83,9 +83,7 @@ def test_paper_configuration_has_its_size_and_bottleneck(pick_cube):
     assert 13e6 < count < 14.5e6
 
     seen = []
-    model.conditioning.register_forward_hook(
-        lambda module, args, out: seen.append((args[1].sizes, out.shape[1]))
-    )
+    model.conditioning.register_forward_hook(lambda module, args, out: seen.append((args[1].sizes, out.shape[1])))
     still = torch.zeros_like(points)
     moved = model(points, still, still, torch.zeros(1, 7))
     (sizes, width), *_ = seen

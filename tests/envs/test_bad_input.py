@@ -120,9 +120,7 @@ def test_scenes_of_another_type(either, scene, kind):
 
 
 def test_reset_options(either):
-    with pytest.raises(
-        UnknownNameError, match=r"unknown reset option 'scenes'; known: .*Did you mean 'scene'\?"
-    ):
+    with pytest.raises(UnknownNameError, match=r"unknown reset option 'scenes'; known: .*Did you mean 'scene'\?"):
         either.reset(options={"scenes": None})
 
 

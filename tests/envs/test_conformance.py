@@ -187,20 +187,7 @@ def test_global_generators_are_untouched(each):
     assert rng_states() == before
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        pytest.param(
-            i,
-            marks=pytest.mark.xfail(
-                strict=True, reason="load_checkpoint initialises weights from torch's generator"
-            ),
-        )
-        if i in MODEL_IDS
-        else i
-        for i in IDS
-    ],
-)
+@pytest.mark.parametrize("name", IDS)
 def test_making_leaves_global_generators_untouched(name):
     before = rng_states()
     gym.make(name).close()

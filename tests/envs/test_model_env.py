@@ -86,7 +86,7 @@ def test_only_the_returned_observation_is_clipped(env, replace_model):
     assert float(env.unwrapped.state.points().max()) > 5.0
 
 
-def test_a_scene_starts_the_same_world(env, scene, random_actions):
+def test_a_scene_starts_the_same_world(env, scene):
     first = env.reset(seed=0)[0]
     again, _ = env.reset(options={"scene": scene})
     for name, value in first.items():
@@ -122,7 +122,7 @@ def test_scene_file_round_trip(env, scene, tmp_path, random_actions):
     np.testing.assert_array_equal(a["points"], b["points"])
 
 
-def test_own_cost_by_name(costs, env):
+def test_own_cost_by_name(costs):
     @pwm_gym.register_cost("height_test")
     def height(points, info):
         return points["cube"].mean(-2)[..., 2]
@@ -130,9 +130,7 @@ def test_own_cost_by_name(costs, env):
     own = gym.make("pwm/PickCube-v0", cost="height_test")
     own.reset(seed=0)
     observation, reward, *_, info = own.step(STILL)
-    assert reward == pytest.approx(
-        -observation["points"][own.unwrapped.entities[3].slice, 2].mean(), abs=1e-6
-    )
+    assert reward == pytest.approx(-observation["points"][own.unwrapped.entities[3].slice, 2].mean(), abs=1e-6)
     assert list(info["cost_terms"]) == ["height_test"]
 
 
@@ -144,10 +142,9 @@ def test_own_cost_as_a_callable():
     env.reset(seed=0)
     *_, info = env.step(STILL)
     assert list(info["cost_terms"]) == ["_height"]
-    env.reset(seed=0)
 
 
-def test_a_cost_reads_action_goal_velocity(env):
+def test_a_cost_reads_action_goal_velocity():
     seen = {}
 
     def look(points, info):
@@ -165,21 +162,23 @@ def test_a_cost_reads_action_goal_velocity(env):
     np.testing.assert_array_equal(seen["extra"]["goal_pos"][0], observation["goal"])
 
 
-def test_the_papers_listing_runs_unchanged(costs, env):
+def test_the_papers_listing_runs_unchanged(costs):
+    # fmt: off
     @pwm_gym.register_cost("pick_cube_paper_test", batched=False)
     def cost_fn_pick_cube(cfg, point, info):
         """
         Cost function for the PickCube-v1 task.
         """
 
-        goal_xyz = torch.tensor(info["extra"]["goal_pos"], device=cfg.device)
+        goal_xyz = torch.tensor(info['extra']['goal_pos'], device=cfg.device)
 
-        left_gripper_xyz = point["left_gripper"]
-        right_gripper_xyz = point["right_gripper"]
-        cube_xyz = point["cube"]
+        left_gripper_xyz = point['left_gripper']
+        right_gripper_xyz = point['right_gripper']
+        cube_xyz = point['cube']
 
         cube_center_xyz = cube_xyz.mean(dim=0)
-        tcp_xyz = (left_gripper_xyz.mean(dim=0) + right_gripper_xyz.mean(dim=0)) / 2
+        tcp_xyz = (left_gripper_xyz.mean(dim=0) +
+                   right_gripper_xyz.mean(dim=0)) / 2
 
         tcp_to_cube_dist = torch.norm(cube_center_xyz - tcp_xyz, dim=0)
         reaching_reward = 1.0 - torch.tanh(5.0 * tcp_to_cube_dist)
@@ -187,14 +186,15 @@ def test_the_papers_listing_runs_unchanged(costs, env):
         cube_to_goal_dist = torch.norm(tcp_xyz - goal_xyz, dim=0)
         place_reward = 1.0 - torch.tanh(5.0 * cube_to_goal_dist)
 
-        contact_reward = 1.0 if info["grasped"] else 0.0
+        contact_reward = 1.0 if info['grasped'] else 0.0
 
-        if info["grasped"]:
+        if info['grasped']:
             total_cost = -place_reward
         else:
             total_cost = -(reaching_reward + contact_reward)
 
         return total_cost
+    # fmt: on
 
     many = gym.make_vec("pwm/PickCube-v0", num_envs=2, cost="pick_cube_paper_test")
     many.reset(seed=0)

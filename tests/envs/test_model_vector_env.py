@@ -80,9 +80,7 @@ def test_types_and_spaces(random_actions):
         assert all(x.shape == (3,) and x.dtype == bool for x in (terminated, truncated))
     assert info["success"].shape == info["grasped"].shape == info["reason"].shape == (3,)
     assert info["_success"].all() and info["cost_terms"]["_reaching"].all()
-    np.testing.assert_allclose(
-        reward, -sum(v for k, v in info["cost_terms"].items() if k[0] != "_"), atol=1e-6
-    )
+    np.testing.assert_allclose(reward, -sum(v for k, v in info["cost_terms"].items() if k[0] != "_"), atol=1e-6)
 
 
 def test_info_keys_are_stable(random_actions):
@@ -233,9 +231,7 @@ def test_same_step_gives_the_final_observation(random_actions):
     assert_near(info["final_obs"], expected[0], 0)
     np.testing.assert_array_equal(reward, expected[1])
     assert list(info["final_info"]["reason"]) == ["time limit"] * 2
-    np.testing.assert_array_equal(
-        info["final_info"]["cost_terms"]["reaching"], expected[-1]["cost_terms"]["reaching"]
-    )
+    np.testing.assert_array_equal(info["final_info"]["cost_terms"]["reaching"], expected[-1]["cost_terms"]["reaching"])
     assert not observation["velocity"].any() and info["final_obs"]["velocity"].any()
     assert list(info["reason"]) == ["", ""]
     assert "final_obs" not in same.step(actions[0])[-1]
@@ -362,7 +358,10 @@ def test_record_video(monkeypatch, tmp_path, random_actions):
         module.ImageSequenceClip = Clip
         monkeypatch.setitem(sys.modules, name, module)
     env = RecordVideo(
-        make(2, render_mode="rgb_array"), str(tmp_path / "videos"), step_trigger=lambda s: s == 0, video_length=2
+        make(2, render_mode="rgb_array"),
+        str(tmp_path / "videos"),
+        step_trigger=lambda s: s == 0,
+        video_length=2,
     )
     rollout(env, 0, random_actions(0, 3, 2, 7))
     env.close()
@@ -374,9 +373,7 @@ def test_record_video(monkeypatch, tmp_path, random_actions):
 def test_tensors_out(random_actions):
     env, plain = make(2, tensors=True, max_episode_steps=3), make(2, max_episode_steps=3)
     actions = random_actions(0, 5, 2, 7)
-    for ours, theirs in zip(
-        rollout(env, 0, torch.from_numpy(actions)), rollout(plain, 0, actions), strict=True
-    ):
+    for ours, theirs in zip(rollout(env, 0, torch.from_numpy(actions)), rollout(plain, 0, actions), strict=True):
         assert all(isinstance(v, torch.Tensor) and v.device == env.device for v in ours[0].values())
         for name, value in theirs[0].items():
             np.testing.assert_array_equal(ours[0][name].numpy(), value)

@@ -30,9 +30,7 @@ def test_points_lie_on_the_surface(box):
 def test_every_prefix_is_better_spread_than_chance(box, count):
     cloud = sample_surface(box, 300, seed=0)
     surface = trimesh.sample.sample_surface(box, 4000, seed=1)[0]
-    by_chance = [
-        covering_radius(trimesh.sample.sample_surface(box, count, seed=s)[0], surface) for s in range(2, 7)
-    ]
+    by_chance = [covering_radius(trimesh.sample.sample_surface(box, count, seed=s)[0], surface) for s in range(2, 7)]
     assert covering_radius(cloud[:count], surface) < 0.85 * min(by_chance)
 
 

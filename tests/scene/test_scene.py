@@ -79,9 +79,7 @@ def headless_arrays(path):
     np.savez(path, header=np.array('{"format": "pwm_gym.scene", "task": "x", "layout": []}'))
 
 
-@pytest.mark.parametrize(
-    "write", [foreign_text, foreign_array, foreign_archive, foreign_pickle, headless_arrays]
-)
+@pytest.mark.parametrize("write", [foreign_text, foreign_array, foreign_archive, foreign_pickle, headless_arrays])
 def test_a_foreign_file_is_refused(tmp_path, write):
     write(tmp_path / "other.npz")
     with pytest.raises(SceneError, match=r"other\.npz is not a scene file"):

@@ -41,7 +41,9 @@ def test_a_cloud_that_turns_about_an_axis_has_the_velocity_of_its_circles():
     chord = 2 * np.sin(omega / 2) * arm.norm(dim=-1)
     velocity = state.velocity()
     torch.testing.assert_close(velocity.norm(dim=-1), chord)
-    torch.testing.assert_close(velocity @ torch.as_tensor(axis), torch.zeros(50, dtype=torch.float64), atol=1e-12, rtol=0)
+    torch.testing.assert_close(
+        velocity @ torch.as_tensor(axis), torch.zeros(50, dtype=torch.float64), atol=1e-12, rtol=0
+    )
     # The chord's direction is that of omega x r half a step ago.
     half = torch.as_tensor(Rotation.from_rotvec(-0.5 * omega * axis).as_matrix())
     tangent = torch.linalg.cross(torch.as_tensor(axis).expand(50, 3), arm @ half.T)

@@ -24,9 +24,7 @@ def test_optional_parts(record, change):
 
 
 def test_a_single_step(record):
-    one = {
-        k: getattr(record, k)[:1] for k in ("predicted", "true", "error", "predicted_reward", "true_reward")
-    }
+    one = {k: getattr(record, k)[:1] for k in ("predicted", "true", "error", "predicted_reward", "true_reward")}
     assert twin_frame(replace(record, **one), 0, panel=200).ndim == 3
 
 

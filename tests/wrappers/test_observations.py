@@ -60,9 +60,7 @@ def test_flatten_points_keeps_every_value(env, random_actions):
     start = 0
     for name in KEYS:
         size = observation[name].size
-        np.testing.assert_array_equal(
-            vector[start : start + size].reshape(observation[name].shape), observation[name]
-        )
+        np.testing.assert_array_equal(vector[start : start + size].reshape(observation[name].shape), observation[name])
         start += size
     assert start == vector.size
 

@@ -84,9 +84,7 @@ def test_records_the_simulator(tmp_path, sim, random_actions):
     env.flush()
     data = np.load(tmp_path / "episode-00000.npz")
     np.testing.assert_allclose(data["poses"][..., :3], np.stack(poses)[..., :3], atol=1e-6)
-    alignment = np.abs(
-        (data["poses"][..., 3:] * np.stack(poses)[..., 3:]).sum(-1)
-    )  # q and -q are one rotation
+    alignment = np.abs((data["poses"][..., 3:] * np.stack(poses)[..., 3:]).sum(-1))  # q and -q are one rotation
     assert alignment.min() == pytest.approx(1.0, abs=1e-6)
 
 

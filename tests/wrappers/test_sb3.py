@@ -150,9 +150,7 @@ def test_pictures_and_attributes():
 
 
 def test_what_it_takes():
-    with pytest.raises(
-        PwmGymError, match=r"autoreset_mode is .*NEXT_STEP; expected AutoresetMode\.SAME_STEP"
-    ):
+    with pytest.raises(PwmGymError, match=r"autoreset_mode is .*NEXT_STEP; expected AutoresetMode\.SAME_STEP"):
         SB3VecEnv(gym.make_vec("pwm/PickCube-v0", num_envs=2))
     with pytest.raises(PwmGymError, match="takes a ModelVectorEnv; got SyncVectorEnv"):
         SB3VecEnv(gym.make_vec("pwm/PickCube-v0", num_envs=1, vectorization_mode="sync"))

@@ -110,9 +110,7 @@ class Level:
         within = torch.arange(len(scene), device=order.device) - first[scene]
         last = (self.counts - size).clamp_min(0)  # (B,) where a scene's last group begins
         begin = torch.minimum(within * size, last[scene])  # (G,)
-        rank = begin.unsqueeze(1) + torch.arange(
-            size, device=order.device
-        )  # (G, P) place in the scene's order
+        rank = begin.unsqueeze(1) + torch.arange(size, device=order.device)  # (G, P) place in the scene's order
         count = self.counts[scene].unsqueeze(1)
         tokens = order[self.starts[scene].unsqueeze(1) + torch.minimum(rank, count - 1)]
         place = torch.empty_like(order)

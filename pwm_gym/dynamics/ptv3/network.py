@@ -74,9 +74,7 @@ class PTv3Config:
             values = getattr(self, f"{side}_{name}")
             if len(values) != stages:
                 raise PwmGymError(f"{side}_{name}={values}; expected {stages} stages")
-        for size, heads in zip(
-            getattr(self, f"{side}_channels"), getattr(self, f"{side}_heads"), strict=True
-        ):
+        for size, heads in zip(getattr(self, f"{side}_channels"), getattr(self, f"{side}_heads"), strict=True):
             if size % heads:
                 raise PwmGymError(f"{side}_channels has {size}, which {heads} heads do not divide")
         for position in getattr(self, f"{side}_positions"):
@@ -128,8 +126,7 @@ class PointTransformer(nn.Module):
         """Blocks of stage ``i`` of a side; the first of them takes curve ``first``."""
         config = self.config
         depths, channels, heads, patches, positions = (
-            getattr(config, f"{side}_{name}")
-            for name in ("depths", "channels", "heads", "patches", "positions")
+            getattr(config, f"{side}_{name}") for name in ("depths", "channels", "heads", "patches", "positions")
         )
         before = sum(depths[:i])
         rates = torch.linspace(0, config.drop_path, sum(depths)).tolist()[before : before + depths[i]]
