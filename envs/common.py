@@ -47,10 +47,11 @@ def observation_space(layout: Layout, goal_size: int) -> spaces.Dict:
 
 def observe(state: State, goal: Tensor) -> dict[str, Tensor]:
     """Observations (B, ...) of a state (B,), clipped to the observation space; fresh tensors."""
+    now, before, earlier = (state.points(k) for k in range(3))
     return {
-        "points": state.points().clamp(-BOUND, BOUND),
-        "velocity": state.velocity().clamp(-_SPEED, _SPEED),
-        "previous_velocity": state.previous_velocity().clamp(-_SPEED, _SPEED),
+        "points": now.clamp(-BOUND, BOUND),
+        "velocity": (now - before).clamp_(-_SPEED, _SPEED),
+        "previous_velocity": (before - earlier).clamp_(-_SPEED, _SPEED),
         "goal": goal.clamp(-BOUND, BOUND),
     }
 

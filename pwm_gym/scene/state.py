@@ -41,8 +41,8 @@ class State(Protocol):
     def batch(self) -> torch.Size:
         """Leading dimensions."""
 
-    def points(self) -> Tensor:
-        """World-frame points x_t (..., N, 3)."""
+    def points(self, step: int = 0) -> Tensor:
+        """World-frame points (..., N, 3), ``step`` (0, 1 or 2) steps ago."""
 
     def velocity(self) -> Tensor:
         """v_t (..., N, 3)."""
@@ -81,23 +81,20 @@ class RigidState:
         """Leading dimensions."""
         return self.frames.shape[:-4]
 
-    def _points_at(self, step: int) -> Tensor:
+    def points(self, step: int = 0) -> Tensor:
+        """World-frame points (..., N, 3), ``step`` (0, 1 or 2) steps ago."""
         parts = [
             transform(self.frames[..., step, i, :, :], self.clouds[..., e.slice, :]) for i, e in enumerate(self.layout)
         ]
         return torch.cat(parts, -2)
 
-    def points(self) -> Tensor:
-        """World-frame points x_t (..., N, 3)."""
-        return self._points_at(0)
-
     def velocity(self) -> Tensor:
         """v_t (..., N, 3)."""
-        return self._points_at(0) - self._points_at(1)
+        return self.points(0) - self.points(1)
 
     def previous_velocity(self) -> Tensor:
         """v_{t-1} (..., N, 3)."""
-        return self._points_at(1) - self._points_at(2)
+        return self.points(1) - self.points(2)
 
     def entity(self, name: str, step: int = 0) -> Tensor:
         """World-frame points (..., n, 3) of one entity, ``step`` (0, 1 or 2) steps ago."""
@@ -145,9 +142,7 @@ class PointState:
         """The same state, kept as points."""
         if isinstance(state, PointState):
             return state
-        points = state.points()
-        previous = points - state.velocity()
-        frames = torch.stack([points, previous, previous - state.previous_velocity()], -3)
+        frames = torch.stack([state.points(k) for k in range(3)], -3)
         return cls(state.layout, state.clouds, frames)
 
     @property
@@ -155,9 +150,9 @@ class PointState:
         """Leading dimensions."""
         return self.frames.shape[:-3]
 
-    def points(self) -> Tensor:
-        """World-frame points x_t (..., N, 3)."""
-        return self.frames[..., 0, :, :]
+    def points(self, step: int = 0) -> Tensor:
+        """World-frame points (..., N, 3), ``step`` (0, 1 or 2) steps ago."""
+        return self.frames[..., step, :, :]
 
     def velocity(self) -> Tensor:
         """v_t (..., N, 3)."""

@@ -235,6 +235,5 @@ PICK_CUBE = register_task(
         plan_cost="pick_cube_plan",
         success="pick_cube",
         grasp="pick_cube",
-        reward_scale=1.0,
     )
 )

@@ -66,8 +66,6 @@ class Task:
     """Registered grasp rule."""
     cloud_seed: int = 0
     max_episode_steps: int = 100
-    reward_scale: float = 1.0
-    """The simulator's reward divided by the reward (minus the cost) of ``cost``."""
 
 
 TASKS: dict[str, Task] = {}

@@ -1,0 +1,147 @@
+import pytest
+import torch
+
+from pwm_gym.costs import (
+    COSTS,
+    cost_info,
+    get_cost,
+    get_grasp,
+    get_success,
+    register_cost,
+    register_grasp,
+    register_success,
+    register_terms,
+)
+from pwm_gym.errors import PwmGymError, UnknownNameError
+from pwm_gym.scene import Layout, RigidState
+
+LAYOUT = Layout.build([("hand", 8), ("left_gripper", 8), ("right_gripper", 8), ("cube", 8)], ("hand",))
+
+
+@pytest.fixture
+def view():
+    """Points and info of three random scenes, the first of which is grasped."""
+    generator = torch.Generator().manual_seed(0)
+    clouds = 0.05 * torch.randn(3, LAYOUT.points, 3, generator=generator)
+    frames = torch.eye(4).repeat(3, 3, 4, 1, 1)
+    frames[..., :3, 3] = torch.randn(3, 3, 4, 3, generator=generator)
+    action, goal = torch.randn(3, 7, generator=generator), torch.randn(3, 3, generator=generator)
+    return cost_info(RigidState(LAYOUT, clouds, frames), action, goal, lambda p, i: torch.tensor([True, False, False]))
+
+
+def height(points, info):
+    return points["cube"].mean(-2)[..., 2]
+
+
+def test_info_holds_what_the_design_promises(view):
+    points, info = view
+    assert list(points) == list(LAYOUT.names)
+    assert info["extra"]["goal_pos"] is info["goal"] and info["action"].shape == (3, 7)
+    assert info["velocity"]["cube"].shape == points["cube"].shape == (3, 8, 3)
+    assert info["grasped"].tolist() == [True, False, False]
+
+
+def test_a_registered_cost_is_found_by_name(costs, view):
+    assert register_cost("height")(height) is height
+    torch.testing.assert_close(get_cost("height")(*view), height(*view))
+    assert get_cost("height").evaluate(*view).keys() == {"height"}
+
+
+def test_a_callable_is_a_cost_too(view):
+    assert get_cost(height).name == "height"
+    assert get_cost(get_cost(height)).name == "height"
+    torch.testing.assert_close(get_cost(height)(*view), height(*view))
+
+
+def test_terms_are_weighted_and_sum_to_the_cost(costs, view):
+    cost = register_terms("two", {"up": (-2.0, height), "far": (0.5, lambda p, i: i["goal"].norm(dim=-1))})
+    terms = cost.evaluate(*view)
+    torch.testing.assert_close(terms["up"], -2.0 * height(*view))
+    torch.testing.assert_close(cost(*view), -2.0 * height(*view) + 0.5 * view[1]["goal"].norm(dim=-1))
+
+
+@pytest.mark.parametrize("name", sorted(COSTS))
+def test_every_registered_costs_terms_sum_to_it(name, view):
+    cost = get_cost(name)
+    torch.testing.assert_close(sum(cost.evaluate(*view).values()), cost(*view))
+
+
+@pytest.mark.parametrize(
+    ("register", "name"), [(register_cost, "pick_cube"), (register_success, "pick_cube"), (register_grasp, "pick_cube")]
+)
+def test_a_name_is_taken_once(register, name):
+    with pytest.raises(ValueError, match="'pick_cube' is registered already"):
+        register(name)(height)
+
+
+@pytest.mark.parametrize(
+    ("get", "kind"), [(get_cost, "cost"), (get_success, "success rule"), (get_grasp, "grasp rule")]
+)
+def test_an_unknown_name_is_answered_with_the_nearest(get, kind):
+    with pytest.raises(UnknownNameError, match=f"unknown {kind} 'pick_cub'; known: .*Did you mean 'pick_cube'"):
+        get("pick_cub")
+
+
+@pytest.mark.parametrize(
+    ("function", "message"),
+    [
+        (lambda p, i: p["mug"].mean((-2, -1)), "no entity 'mug'; this scene has hand, left_gripper, .*cube"),
+        (lambda p, i: p["cube"].mean(-2), r"returned \(3, 3\); expected a tensor \(3,\)"),
+        (lambda p, i: p["cube"].mean(), r"returned \(\); expected a tensor \(3,\)"),
+        (lambda p, i: 0.5, "returned float; expected a tensor"),
+        (lambda p, i: height(p, i) / torch.tensor([0.0, 1.0, 1.0]), "returned 1 of 3 values not finite"),
+        (lambda p, i: height(p, i) * torch.nan, "returned 3 of 3 values not finite"),
+    ],
+)
+def test_a_failing_cost_is_explained(costs, view, function, message):
+    register_cost("bad")(function)
+    with pytest.raises(PwmGymError, match=f"cost 'bad'.*{message}"):
+        get_cost("bad")(*view)
+
+
+def test_an_unbatched_cost_sees_one_scene_at_a_time(costs, view):
+    @register_cost("single", batched=False)
+    def single(points, info):
+        assert points["cube"].shape == (8, 3) and info["velocity"]["hand"].shape == (8, 3)
+        assert isinstance(info["grasped"], bool) and isinstance(info["extra"]["goal_pos"], list)
+        return points["cube"].mean(0)[2] if info["grasped"] else 7
+
+    expected = torch.cat([height(*view)[:1], torch.tensor([7.0, 7.0])])
+    torch.testing.assert_close(get_cost("single")(*view), expected)
+
+
+# The paper's listing (appendix "Cost Function"), unchanged.
+def cost_fn_pick_cube(cfg, point, info):
+    goal_xyz = torch.tensor(info['extra']['goal_pos'], device=cfg.device)
+
+    left_gripper_xyz = point['left_gripper']
+    right_gripper_xyz = point['right_gripper']
+    cube_xyz = point['cube']
+
+    cube_center_xyz = cube_xyz.mean(dim=0)
+    tcp_xyz = (left_gripper_xyz.mean(dim=0) +
+               right_gripper_xyz.mean(dim=0)) / 2
+
+    tcp_to_cube_dist = torch.norm(cube_center_xyz - tcp_xyz, dim=0)
+    reaching_reward = 1.0 - torch.tanh(5.0 * tcp_to_cube_dist)
+
+    cube_to_goal_dist = torch.norm(tcp_xyz - goal_xyz, dim=0)
+    place_reward = 1.0 - torch.tanh(5.0 * cube_to_goal_dist)
+
+    contact_reward = 1.0 if info['grasped'] else 0.0
+
+    if info['grasped']:
+        total_cost = -place_reward
+    else:
+        total_cost = -(reaching_reward + contact_reward)
+
+    return total_cost
+
+
+def test_the_papers_listing_runs_unchanged(costs, view):
+    register_cost("listing", batched=False)(cost_fn_pick_cube)
+    points, info = view
+    tool = (points["left_gripper"].mean(1) + points["right_gripper"].mean(1)) / 2
+    reach = 1 - torch.tanh(5 * (points["cube"].mean(1) - tool).norm(dim=-1))
+    place = 1 - torch.tanh(5 * (tool - info["goal"]).norm(dim=-1))
+    torch.testing.assert_close(get_cost("listing")(points, info), -torch.where(info["grasped"], place, reach))

@@ -1,0 +1,142 @@
+import numpy as np
+import pytest
+import torch
+from scipy.spatial.transform import Rotation
+
+from pwm_gym.costs import cost_info, get_cost, get_grasp, get_success, terms
+from pwm_gym.data import KINDS
+from pwm_gym.dynamics.response import EndEffector
+from pwm_gym.scene import RigidState, batch_state
+from pwm_gym.scene.se3 import make_pose
+from pwm_gym.tasks import get_task
+
+TASK = get_task("PickCube")
+HAND, CUBE = TASK.layout.index("hand"), TASK.layout.index("cube")
+
+
+def view(dataset, episode):
+    """What costs read after each action of an episode."""
+    state = batch_state([dataset.scene(episode, k + 1) for k in range(len(episode))])
+    goal = torch.as_tensor(episode.goal).expand(len(episode), -1)
+    return cost_info(state, torch.as_tensor(episode.actions), goal, get_grasp("pick_cube"))
+
+
+def experts(dataset):
+    found = [e for e in dataset.episodes if KINDS[e.kind] == "expert"]
+    assert found
+    return found
+
+
+def test_the_cost_is_minus_maniskills_reward_along_expert_episodes(train_split):
+    for episode in experts(train_split):
+        reward = -get_cost("pick_cube")(*view(train_split, episode)).numpy()
+        assert np.corrcoef(reward, episode.rewards)[0, 1] >= 0.98
+        assert np.abs(reward - episode.rewards).mean() < 0.02
+        assert np.median(np.abs(reward - episode.rewards)) < 0.01
+
+
+def test_success_is_maniskills(train_split):
+    truth, found = [], []
+    for episode in train_split.episodes:
+        truth.append(episode.success)
+        found.append(get_success("pick_cube")(*view(train_split, episode)).numpy())
+    truth, found = np.concatenate(truth), np.concatenate(found)
+    assert truth.any()
+    assert (truth == found).mean() > 0.97
+
+
+def test_pinched_is_maniskills_grasp_on_expert_episodes(train_split):
+    for episode in experts(train_split):
+        points, info = view(train_split, episode)
+        found = terms.pinched(points, info["action"], "cube").numpy()
+        assert episode.grasped.any()
+        assert (found == episode.grasped).mean() > 0.93
+
+
+@pytest.fixture
+def grip(train_split):
+    """``grip(opening, offset)``: the hand pointing down, its tool centre at ``offset`` from a cube in the air."""
+    effector = EndEffector(TASK.layout)
+    clouds = torch.as_tensor(train_split.clouds)[None]
+
+    def make(opening, offset):
+        down = torch.as_tensor(Rotation.from_rotvec([np.pi, 0, 0]).as_matrix()).float()
+        cube = torch.tensor([0.6, 0.0, 0.2])
+        root = make_pose(down, cube + torch.tensor(offset) + torch.tensor([0, 0, 0.1034]))[None]
+        fingers = effector.links(root, torch.full((1, 2), opening))
+        poses = torch.cat([root[:, None], fingers, make_pose(torch.eye(3), cube)[None, None]], 1)
+        state = RigidState(TASK.layout, clouds, poses[:, None].expand(-1, 3, -1, -1, -1))
+        shut = torch.tensor([[0.0, 0, 0, 0, 0, 0, -1]])
+        return cost_info(state, shut, torch.zeros(1, 3), get_grasp("pick_cube"))
+
+    return make
+
+
+PRESSED = 0.018  # the pads sink 2 mm into the cube's sides at 20 mm
+
+
+def test_a_real_grasp_is_pinched(grip):
+    points, info = grip(PRESSED, (0.0, 0.0, 0.0))
+    assert terms.pinched(points, info["action"], "cube").item()
+    assert info["grasped"].item()
+    assert not terms.pinched(points, -info["action"], "cube").item()  # commanded open
+
+
+@pytest.mark.parametrize(
+    ("opening", "offset"),
+    [
+        (0.0, (0.0, 0.0, 0.02)),  # shut above the cube
+        (PRESSED, (0.0, 0.0, 0.15)),  # at its width, but far above
+        (0.0, (0.0, 0.0, 0.0)),  # shut inside it
+        (0.04, (0.0, 0.0, 0.0)),  # open around it
+        (PRESSED, (0.0, 0.012, 0.0)),  # the cube beside the fingers' middle
+    ],
+)
+def test_pinched_is_not_fooled(grip, opening, offset):
+    points, info = grip(opening, offset)
+    assert not terms.pinched(points, info["action"], "cube").item()
+
+
+def test_shut_above_the_cube_is_near_but_not_pinched_and_pays_nothing(grip):
+    fooled, real = grip(0.0, (0.0, 0.0, 0.02)), grip(PRESSED, (0.0, 0.0, 0.0))
+    assert terms.near_and_shut(fooled[0], fooled[1]["action"], "cube").item()
+    parts = get_cost("pick_cube").evaluate(*fooled)
+    assert parts["contact"].item() == parts["placing"].item() == 0
+    plan = get_cost("pick_cube_plan")
+    assert plan.evaluate(*fooled)["early"].item() > 1.5
+    assert plan(*real).item() < plan(*fooled).item() - 2
+    assert abs(plan.evaluate(*real)["early"].item()) < 0.3
+
+
+def test_the_tool_centre_is_between_the_finger_tips(grip):
+    for opening in (0.0, 0.02, 0.04):
+        points, _ = grip(opening, (0.0, 0.0, 0.0))
+        gap = terms.tool_centre(points)[0] - torch.tensor([0.6, 0.0, 0.2])
+        assert gap.norm() < 0.003
+
+
+@pytest.mark.parametrize(("opening", "gap"), [(0.02, 0.0), (0.03, 0.01), (0.015, -0.005)])
+def test_finger_gaps_measure_from_pad_to_side(grip, opening, gap):
+    gaps = terms.finger_gaps(grip(opening, (0.0, 0.0, 0.0))[0], "cube")
+    torch.testing.assert_close(gaps, torch.full((1, 2), gap), atol=1e-3, rtol=0)
+
+
+@pytest.mark.parametrize("name", ["pick_cube", "pick_cube_plan"])
+def test_costs_have_gradients(grip, name):
+    points, info = grip(0.03, (0.01, 0.005, 0.02))
+    leaves = {n: points[n].clone().requires_grad_() for n in points}
+    get_cost(name)(leaves, info).sum().backward()
+    assert leaves["left_gripper"].grad.abs().sum() > 0
+    assert all(leaf.grad is None or leaf.grad.isfinite().all() for leaf in leaves.values())
+
+
+@pytest.mark.parametrize("name", ["pick_cube", "pick_cube_plan"])
+def test_a_scenes_cost_does_not_depend_on_its_batch(train_split, name):
+    episode = train_split.episodes[0]
+    points, info = view(train_split, episode)
+    batch = get_cost(name)(points, info)
+    state = batch_state([train_split.scene(episode, 21)])
+    alone = cost_info(
+        state, torch.as_tensor(episode.actions[20:21]), torch.as_tensor(episode.goal[None]), get_grasp("pick_cube")
+    )
+    torch.testing.assert_close(get_cost(name)(*alone), batch[20:21], atol=1e-5, rtol=0)
