@@ -13,10 +13,7 @@ Points = Mapping[str, Tensor]
 
 _TOOL_RATIO = 0.355  # (tool - fingers) / (fingers - hand) along the Panda hand's axis, of its collision meshes
 _CLOSE = 0.025  # the paper's grasp distance
-_PRESSED = (
-    -0.005,
-    -0.0008,
-)  # metres: ManiSkill's pads sink 1.6 to 2.8 mm into a held object, and stop short else
+_PRESSED = (-0.005, -0.0008)  # metres; ManiSkill's pads sink 1.6 to 2.8 mm into an object that they hold
 
 
 def centre(points: Points, name: str) -> Tensor:

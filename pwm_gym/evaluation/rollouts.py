@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ from torch import Tensor
 from pwm_gym.data.dataset import Dataset
 from pwm_gym.data.episodes import Episode
 from pwm_gym.dynamics.model import WorldModel
-from pwm_gym.scene import RigidState, State, batch_state, stack
+from pwm_gym.scene import PointState, RigidState, State, batch_state, stack
 from pwm_gym.scene.se3 import matrix_from_pose7, rotation_angle
 
 __all__ = ["OBSERVED", "Rollouts", "long_rollouts", "predict", "validation_metrics"]
@@ -97,13 +97,10 @@ def _overwrite(state: State, truth: Tensor, links: Tensor) -> State:
     rigid = RigidState(state.layout, state.clouds, torch.cat([poses.unsqueeze(1), state.history()[:, 1:]], 1))
     if isinstance(state, RigidState):
         return rigid
+    assert isinstance(state, PointState)
     kept = torch.as_tensor(links.numpy()[state.layout.ids])[:, None]
     points = torch.where(kept, rigid.points(), state.points())
-    return type(
-        state
-    )(  # type: ignore[call-arg]
-        state.layout, state.clouds, torch.cat([points.unsqueeze(1), state.frames[:, 1:]], 1)
-    )
+    return replace(state, frames=torch.cat([points.unsqueeze(1), state.frames[:, 1:]], 1))
 
 
 def _joined(chunks: list[State]) -> State:

@@ -34,15 +34,16 @@ class MPPIConfig:
     """Noise's standard deviation in action units, for each action dimension or one for all."""
     correlation: float = 0.7
     """Correlation of the noise from one step to the next; 0 is white."""
-    finest: float = 0.2
-    """The samples' noise is scaled from 1 down to this, so that some search wide and some refine."""
+    finest: tuple[float, ...] = (0.2, 0.2, 0.2, 1.0, 1.0, 0.2, 1.0)
+    """The samples' noise is scaled from 1 down to this, for each dimension or one for all, so that some search wide and
+    some refine; a gripper's is not, since only wide noise shuts it."""
     iterations: int = 1
     """Rounds of sampling around the improved mean."""
 
     @classmethod
     def paper(cls, horizon: int = 10) -> MPPIConfig:
         """The paper's table; sigma 5 on actions in [-1, 1] saturates most samples."""
-        return cls(200, horizon, 64, 0.7, relative=False, sigma=(5.0,), correlation=0.0, finest=1.0)
+        return cls(200, horizon, 64, 0.7, relative=False, sigma=(5.0,), correlation=0.0, finest=(1.0,))
 
 
 class MPPI:
@@ -58,12 +59,17 @@ class MPPI:
     """
 
     def __init__(self, config: MPPIConfig, action_size: int, device: torch.device | str = "cpu") -> None:
-        if len(config.sigma) not in (1, action_size):
-            raise PwmGymError(f"sigma has {len(config.sigma)} values; expected 1 or {action_size}")
+        for name in ("sigma", "finest"):
+            count = len(getattr(config, name))
+            if count not in (1, action_size):
+                raise PwmGymError(f"{name} has {count} values; expected 1 or {action_size}")
         if not 1 <= config.elites <= config.samples:
             raise PwmGymError(f"elites={config.elites}; expected 1 to samples={config.samples}")
         self.config, self.action_size = config, action_size
-        self._sigma = torch.tensor(config.sigma, device=device).expand(action_size)
+        sigma = torch.tensor(config.sigma, device=device).expand(action_size)
+        scale = torch.linspace(0.0, 1.0, config.samples, device=device).unsqueeze(-1)  # of each sample's noise
+        finest = torch.tensor(config.finest, device=device)
+        self._sigma = (sigma * (1.0 - scale * (1.0 - finest))).unsqueeze(1)  # (S, 1, A)
         self._mean: Tensor | None = None  # (B, H, A)
 
     def reset(self) -> None:
@@ -102,7 +108,6 @@ class MPPI:
         fresh = (1.0 - c.correlation**2) ** 0.5
         for h in range(1, c.horizon):
             noise[:, :, h] = c.correlation * noise[:, :, h - 1] + fresh * noise[:, :, h]
-        noise *= torch.linspace(1.0, c.finest, c.samples, device=mean.device)[:, None, None]
         noise[:, -1] = 0.0
         return (mean.unsqueeze(1) + self._sigma * noise).clamp(-1.0, 1.0)
 

@@ -30,7 +30,7 @@ class RolloutObjective:
         cost: Cost,
         grasp: Function,
         terminal: float = 2.0,
-        points: int | None = 64,
+        points: int | None = None,
     ) -> None:
         self.model, self.cost, self.grasp, self.terminal, self.points = model, cost, grasp, terminal, points
         self._state: State | None = None

@@ -112,15 +112,14 @@ def test_an_unbatched_cost_sees_one_scene_at_a_time(costs, view):
 
 # The paper's listing (appendix "Cost Function"), unchanged.
 def cost_fn_pick_cube(cfg, point, info):
-    goal_xyz = torch.tensor(info['extra']['goal_pos'], device=cfg.device)
+    goal_xyz = torch.tensor(info["extra"]["goal_pos"], device=cfg.device)
 
-    left_gripper_xyz = point['left_gripper']
-    right_gripper_xyz = point['right_gripper']
-    cube_xyz = point['cube']
+    left_gripper_xyz = point["left_gripper"]
+    right_gripper_xyz = point["right_gripper"]
+    cube_xyz = point["cube"]
 
     cube_center_xyz = cube_xyz.mean(dim=0)
-    tcp_xyz = (left_gripper_xyz.mean(dim=0) +
-               right_gripper_xyz.mean(dim=0)) / 2
+    tcp_xyz = (left_gripper_xyz.mean(dim=0) + right_gripper_xyz.mean(dim=0)) / 2
 
     tcp_to_cube_dist = torch.norm(cube_center_xyz - tcp_xyz, dim=0)
     reaching_reward = 1.0 - torch.tanh(5.0 * tcp_to_cube_dist)
@@ -128,9 +127,9 @@ def cost_fn_pick_cube(cfg, point, info):
     cube_to_goal_dist = torch.norm(tcp_xyz - goal_xyz, dim=0)
     place_reward = 1.0 - torch.tanh(5.0 * cube_to_goal_dist)
 
-    contact_reward = 1.0 if info['grasped'] else 0.0
+    contact_reward = 1.0 if info["grasped"] else 0.0
 
-    if info['grasped']:
+    if info["grasped"]:
         total_cost = -place_reward
     else:
         total_cost = -(reaching_reward + contact_reward)

@@ -1,0 +1,220 @@
+import pytest
+import torch
+
+from pwm_gym.dynamics import CompactConfig, CompactModel, WorldModel, rollout
+from pwm_gym.dynamics.compact import _gate
+from pwm_gym.scene import PointState, RigidState
+from pwm_gym.scene.se3 import make_pose, rotation_from_vector
+
+VECTORS = ((0, 3), (3, 6))
+SMALL = CompactConfig(points=24, point_width=16, width=32, blocks=2)
+
+
+def equivariant(response):
+    """Random response weights that turn with the scene: as of a controller that treats x and y alike."""
+    generator = torch.Generator().manual_seed(1)
+    weight = torch.zeros_like(response.root_weight)
+    for i in range(0, 18, 3):  # two twists and the action's two vectors
+        for j in range(0, 6, 3):
+            a, b, c = 0.02 * torch.randn(3, generator=generator)
+            weight[i : i + 3, j : j + 3] = torch.tensor([[a, b, 0], [-b, a, 0], [0, 0, c]])
+    weight[18, [2, 5]] = 0.01 * torch.randn(2, generator=generator)
+    response.root_weight.copy_(weight)
+    response.slide_weight.normal_(std=0.01, generator=generator)
+    response.slide_weight[6:12] = 0.0  # the arm's command
+    response.reach.copy_(torch.tensor([0.9, 0.0, 1.0]))
+
+
+def model_of(layout, config=SMALL, seed=0):
+    """A model with random weights in its last layer too, so that all of it moves something."""
+    torch.manual_seed(seed)
+    model = CompactModel(layout, 7, VECTORS, config).eval()
+    torch.nn.init.normal_(model.head.weight, std=0.2)
+    torch.nn.init.normal_(model.head.bias, std=0.2)
+    equivariant(model.response)
+    return model
+
+
+@pytest.fixture
+def state(hand_scenes):
+    return hand_scenes(4)
+
+
+@pytest.fixture
+def model(state):
+    return model_of(state.layout)
+
+
+@pytest.fixture
+def action():
+    return torch.rand(4, 7, generator=torch.Generator().manual_seed(2)) * 2 - 1
+
+
+def test_is_a_world_model(model, state, action):
+    assert isinstance(model, WorldModel)
+    states = rollout(model, state, action.unsqueeze(1).expand(-1, 5, -1))
+    assert states.points().shape == (4, 5, state.layout.points, 3)
+    moved = (states.poses()[:, 0] - state.poses())[..., :3, 3].norm(dim=-1)
+    assert (moved > 1e-4).all()  # every entity moves, so that the tests below compare something
+
+
+@torch.no_grad()
+@pytest.mark.parametrize("angle", [0.3, 1.7, 3.1])
+def test_turning_the_scene_about_the_vertical_turns_the_prediction(model, state, action, angle):
+    turn = make_pose(rotation_from_vector(torch.tensor([0.0, 0.0, angle])), torch.zeros(3))
+    turned = RigidState(state.layout, state.clouds, turn @ state.frames)
+    vectors = (action[:, :6].view(4, 2, 3) @ turn[:3, :3].T).flatten(1)
+    after = model.step(turned, torch.cat([vectors, action[:, 6:]], 1))
+    expected = turn @ model.step(state, action).poses()
+    torch.testing.assert_close(after.poses(), expected, atol=1e-5, rtol=0)
+
+
+@torch.no_grad()
+def test_another_height_or_tilt_is_another_prediction(model, state, action):
+    """Gravity and the table: it is no equivariance to every motion."""
+    lift = make_pose(torch.eye(3), torch.tensor([0.0, 0.0, 0.05]))
+    lifted = RigidState(state.layout, state.clouds, lift @ state.frames)
+    gap = model.step(lifted, action).poses() - lift @ model.step(state, action).poses()
+    assert gap.abs().max() > 1e-4
+
+
+@torch.no_grad()
+def test_the_order_of_an_entitys_points_does_not_matter(model, state, action):
+    generator = torch.Generator().manual_seed(3)
+    order = torch.cat([e.start + torch.randperm(e.points, generator=generator) for e in state.layout])
+    shuffled = RigidState(state.layout, state.clouds[:, order], state.frames)
+    torch.testing.assert_close(
+        model.step(shuffled, action).poses(), model.step(state, action).poses(), atol=1e-6, rtol=0
+    )
+
+
+@torch.no_grad()
+def test_a_scene_does_not_depend_on_its_batch(model, state, action):
+    together = model.step(state, action).poses()
+    for b in range(4):
+        alone = model.step(state[b : b + 1], action[b : b + 1]).poses()
+        torch.testing.assert_close(alone, together[b : b + 1], atol=1e-6, rtol=0)
+    again = model.step(state, action).poses()
+    assert torch.equal(again, together)  # and nothing in it is random
+
+
+@torch.no_grad()
+def test_an_untrained_model_follows_the_response_and_leaves_the_object_half_attached(state):
+    torch.manual_seed(0)
+    model = CompactModel(state.layout, 7, VECTORS, SMALL)
+    after = model.step(state, torch.zeros(4, 7))
+    torch.testing.assert_close(after.poses()[:, 0], state.poses()[:, 0])  # its response is zero
+
+
+@torch.no_grad()
+def test_a_resting_hand_rests_under_a_zero_action(model, hand_scenes):
+    start = hand_scenes(4, moving=False)
+    after = model.step(start, torch.zeros(4, 7))
+    hand = start.layout.index("hand")
+    assert (after.poses() - start.poses())[:, hand].abs().max() < 1e-6
+    shut = torch.zeros(4, 7)
+    shut[:, 6] = -1.0  # the gripper's command is no command of the arm
+    model.response.root_weight[18] = 0.0
+    assert (model.step(start, shut).poses() - start.poses())[:, hand].abs().max() < 1e-6
+
+
+@torch.no_grad()
+def test_shut_gates_leave_an_object_exactly_where_it_is(model, state, action):
+    model.head.bias[:2] = -20.0
+    after = model.step(state, action)
+    cube = state.layout.index("cube")
+    torch.testing.assert_close(after.poses()[:, cube], state.poses()[:, cube], atol=1e-6, rtol=0)
+
+
+@torch.no_grad()
+def test_an_attached_object_moves_with_the_hand_exactly(model, state, action):
+    model.head.bias[0], model.head.bias[1] = 20.0, -20.0
+    hand, cube = state.layout.index("hand"), state.layout.index("cube")
+
+    def held(s):
+        return torch.linalg.inv(s.poses()[:, hand]) @ s.poses()[:, cube]
+
+    for _ in range(20):
+        after = model.step(state, action)
+        torch.testing.assert_close(held(after), held(state), atol=2e-6, rtol=0)
+        state = after
+
+
+def test_gates_reach_zero_and_one_and_keep_their_gradient():
+    logit = torch.tensor([-30.0, -3.0, 0.0, 3.0, 30.0], requires_grad=True)
+    value = _gate(logit)
+    assert value[[0, 1, 3, 4]].tolist() == [0.0, 0.0, 1.0, 1.0]
+    assert value[2].item() == pytest.approx(0.5)
+    value.sum().backward()
+    assert (logit.grad[1:4] > 0.01).all()
+
+
+@torch.no_grad()
+def test_fingers_stay_on_their_sliders_within_the_limits(model, state, action):
+    model.head.weight.normal_(std=2.0, generator=torch.Generator().manual_seed(4))
+    effector = model.response.effector
+    reached = []
+    for _ in range(10):
+        state = model.step(state, action)
+        openings = effector.openings(state.frames)[:, 0]
+        links = effector.links(state.poses()[:, effector.root], openings)
+        torch.testing.assert_close(links, state.poses()[:, effector.sliding], atol=1e-6, rtol=0)
+        assert openings.min() > -1e-6 and openings.max() < 0.04 + 1e-6
+        reached.append(openings)
+    assert torch.cat(reached).max() > 0.039  # the limit was felt
+
+
+@torch.no_grad()
+def test_poses_stay_rigid(model, state, action):
+    for _ in range(50):
+        state = model.step(state, action)
+    rotation = state.poses()[..., :3, :3]
+    eye = torch.eye(3).expand_as(rotation)
+    torch.testing.assert_close(rotation @ rotation.transpose(-1, -2), eye, atol=1e-4, rtol=0)
+    torch.testing.assert_close(torch.linalg.det(rotation), torch.ones(4, 4), atol=1e-4, rtol=0)
+
+
+def test_gradients_reach_every_parameter(model, state, action):
+    states = rollout(model, state, action.unsqueeze(1).expand(-1, 2, -1))
+    states.points().square().sum().backward()
+    silent = [n for n, p in model.named_parameters() if p.grad is None or not p.grad.abs().sum() > 0]
+    assert silent == []
+    assert all(p.grad.isfinite().all() for p in model.parameters())
+
+
+def test_gradients_reach_the_actions(model, state, action):
+    action.requires_grad_()
+    model.step(state, action).points().sum().backward()
+    assert (action.grad.abs().sum(0) > 0).all()
+
+
+def test_the_default_is_small(state):
+    count = sum(p.numel() for p in CompactModel(state.layout, 7, VECTORS).parameters())
+    assert 300_000 < count < 1_000_000
+
+
+@torch.no_grad()
+def test_a_coarser_scene_works(model, state, action):
+    coarse = state.coarsen(state.layout.truncate(5))
+    after = model.step(coarse, action)
+    assert after.points().shape == (4, 20, 3)
+    assert after.layout == coarse.layout
+
+
+@torch.no_grad()
+def test_only_the_first_points_are_read(state, action):
+    model = model_of(state.layout, CompactConfig(points=8, point_width=16, width=32, blocks=1))
+    coarse = state.coarsen(state.layout.truncate(8))
+    hand = state.layout.index("hand")
+    full = model.step(state, action).poses()[:, hand]
+    torch.testing.assert_close(model.step(coarse, action).poses()[:, hand], full, atol=1e-6, rtol=0)
+
+
+@torch.no_grad()
+def test_points_are_registered_to_poses(model, state, action):
+    prepared = model.prepare(PointState.of(state))
+    assert isinstance(prepared, RigidState)
+    torch.testing.assert_close(
+        model.step(prepared, action).poses(), model.step(state, action).poses(), atol=1e-3, rtol=0
+    )
+    assert model.prepare(state) is state
