@@ -1,7 +1,7 @@
 """Export to and import from Minari, Farama's format of offline data sets.
 
-Observations are entity poses, joints and the goal, not points: with the canonical clouds they give the points, and a data
-set stays small.
+Observations are entity poses, joints and the goal, not points: with the canonical clouds they give the points, and a
+data set stays small.
 """
 
 from __future__ import annotations

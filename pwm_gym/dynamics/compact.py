@@ -181,32 +181,30 @@ class CompactModel(nn.Module):
         decoded: Tensor,
     ) -> Tensor:
         """Next poses (B, E, 4, 4)."""
-        frames, effector = state.frames, self.response.effector
-        now = frames[:, 0]
-        turn = now[:, effector.root, :3, :3]
-        linear = decoded[..., 2:5] @ turn.transpose(-1, -2) * _TRANSLATION  # (B, E, 3) in the world frame
-        angular = decoded[..., 5:8] @ turn.transpose(-1, -2) * _ROTATION
-        alive = _aliveness(twists(frames[:, :, effector.root]), action[:, : self._arm_stop()])
-        step = base + alive * torch.cat([linear[:, effector.root], angular[:, effector.root]], -1)
+        effector, now = self.response.effector, state.frames[:, 0]
+        learned = self._learned_twists(now, decoded)  # (B, E, 6)
+        alive = _aliveness(twists(state.frames[:, :, effector.root]), action[:, : self._arm_stop()])
+        step = base + alive * learned[:, effector.root]
         root = self._displace(now[:, effector.root], step)  # (B, 4, 4)
-        moved = [torch.empty(0)] * len(self.layout)
+        moved = list(now.unbind(1))
         moved[effector.root] = root
         if effector.sliding:
             widths = effector.limit(openings + slide + decoded[:, effector.sliding, 2] * _OPENING)
             for k, pose in zip(effector.sliding, effector.links(root, widths).unbind(1), strict=True):
                 moved[k] = pose
         for k in self._free:
-            moved[k] = self._carry(
-                now[:, k],
-                state.clouds[:, state.layout.entities[k].slice],
-                now,
-                root,
-                step,
-                decoded[:, k],
-                linear[:, k],
-                angular[:, k],
-            )
+            middle = state.clouds[:, state.layout.entities[k].slice].mean(1)  # canonical (B, 3)
+            centre = (now[:, k, :3, :3] @ middle.unsqueeze(-1)).squeeze(-1) + now[:, k, :3, 3]
+            carried = _carried(centre, now[:, effector.root], root)
+            attached, moving = _gate(decoded[:, k, 0:1]), _gate(decoded[:, k, 1:2])
+            twist = attached * torch.cat([carried, step[:, 3:]], -1) + moving * learned[:, k]
+            moved[k] = _turn_about(now[:, k], middle, centre, twist)
         return torch.stack(moved, 1)
+
+    def _learned_twists(self, now: Tensor, decoded: Tensor) -> Tensor:
+        """World-frame twists (B, E, 6) of the decoded ones, which are in the end effector's frame."""
+        turned = now[:, self.response.effector.root, :3, :3].transpose(-1, -2)
+        return torch.cat([decoded[..., 2:5] @ turned * _TRANSLATION, decoded[..., 5:8] @ turned * _ROTATION], -1)
 
     def _displace(self, pose: Tensor, step: Tensor) -> Tensor:
         """Root pose (B, 4, 4) moved by a world-frame twist (B, 6), within the arm's reach."""
@@ -216,27 +214,17 @@ class CompactModel(nn.Module):
     def _arm_stop(self) -> int:
         return max((b for _, b in self.action_vectors), default=self.action_size)
 
-    def _carry(
-        self,
-        pose: Tensor,
-        cloud: Tensor,
-        now: Tensor,
-        root: Tensor,
-        step: Tensor,
-        decoded: Tensor,
-        linear: Tensor,
-        angular: Tensor,
-    ) -> Tensor:
-        """Next pose (B, 4, 4) of a free entity: carried by the end effector, moved on its own, or neither."""
-        attached, moving = _gate(decoded[:, 0:1]), _gate(decoded[:, 1:2])
-        middle = cloud.mean(1)  # canonical
-        centre = (pose[:, :3, :3] @ middle.unsqueeze(-1)).squeeze(-1) + pose[:, :3, 3]
-        before = now[:, self.response.effector.root]
-        local = ((centre - before[:, :3, 3]).unsqueeze(1) @ before[:, :3, :3]).squeeze(1)
-        carried = (root[:, :3, :3] @ local.unsqueeze(-1)).squeeze(-1) + root[:, :3, 3] - centre
-        rotation = rotation_from_vector(attached * step[:, 3:] + moving * angular) @ pose[:, :3, :3]
-        there = centre + attached * carried + moving * linear
-        return make_pose(rotation, there - (rotation @ middle.unsqueeze(-1)).squeeze(-1))
+
+def _carried(point: Tensor, before: Tensor, after: Tensor) -> Tensor:
+    """Displacement (B, 3) of a world-frame point (B, 3) that moves with a link from pose to pose (B, 4, 4)."""
+    local = ((point - before[:, :3, 3]).unsqueeze(1) @ before[:, :3, :3]).squeeze(1)
+    return (after[:, :3, :3] @ local.unsqueeze(-1)).squeeze(-1) + after[:, :3, 3] - point
+
+
+def _turn_about(pose: Tensor, middle: Tensor, centre: Tensor, twist: Tensor) -> Tensor:
+    """Pose (B, 4, 4) moved by a twist (B, 6) about its canonical point ``middle``, which lies at ``centre``."""
+    rotation = rotation_from_vector(twist[:, 3:]) @ pose[:, :3, :3]
+    return make_pose(rotation, centre + twist[:, :3] - (rotation @ middle.unsqueeze(-1)).squeeze(-1))
 
 
 def _gate(logit: Tensor) -> Tensor:
