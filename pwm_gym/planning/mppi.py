@@ -30,7 +30,7 @@ class MPPIConfig:
     """The paper's lambda: the cost difference that makes a sequence e times less likely."""
     relative: bool = True
     """Whether the temperature is in units of the elites' cost spread."""
-    sigma: tuple[float, ...] = (0.35, 0.35, 0.35, 0.0, 0.0, 0.15, 0.7)
+    sigma: tuple[float, ...] = (0.3, 0.3, 0.3, 0.0, 0.0, 0.15, 0.7)
     """Noise's standard deviation in action units, for each action dimension or one for all."""
     correlation: float = 0.7
     """Correlation of the noise from one step to the next; 0 is white."""
@@ -121,4 +121,4 @@ class MPPI:
         else:
             weights = torch.softmax(-(best - best[:, :1]) / scale, 1)
         elites = actions.gather(1, index[..., None, None].expand(-1, -1, *actions.shape[2:]))
-        return (weights[..., None, None] * elites).sum(1)
+        return (weights[..., None, None] * elites).sum(1).clamp(-1.0, 1.0)  # rounding may leave the limits

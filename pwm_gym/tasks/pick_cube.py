@@ -108,13 +108,24 @@ def _low(points: Points, info: Info) -> Tensor:
     """Fingers at the cube's height that overlap it along their own axis: coming closer, they would push it."""
     height = terms.tool_centre(points)[..., 2] - terms.centre(points, "cube")[..., 2]
     depth = ((_CLEAR - height) / _CLEAR).clamp(0, 1)
-    blocked = torch.sigmoid((0.004 - terms.finger_gaps(points, "cube").amin(-1)) / 0.002)
+    blocked = torch.sigmoid((0.002 - terms.finger_gaps(points, "cube").amin(-1)) / 0.002)
     return blocked * depth * _away(points)
 
 
 def _away(points: Points) -> Tensor:
     """Soft bool: the cube is not between the finger tips."""
-    return torch.sigmoid((_reach_distance(points) - 0.018) / 0.002)
+    return torch.sigmoid((_reach_distance(points) - 0.013) / 0.002)
+
+
+def _press(points: Points, info: Info) -> Tensor:
+    """Finger tips nearer than 5 mm to the table, which would stop the arm; 1 where they touch it."""
+    lowest = torch.minimum(points["left_gripper"][..., 2].amin(-1), points["right_gripper"][..., 2].amin(-1))
+    return ((0.005 - lowest) / 0.005).clamp(0, 2)
+
+
+def _effort(points: Points, info: Info) -> Tensor:
+    """Translations over half a unit: near the edge of the arm's reach the controller finds no pose, and stops."""
+    return 4.0 * (info["action"][..., :3].norm(dim=-1) - 0.5).clamp_min(0.0).square()
 
 
 def _disturb(points: Points, info: Info) -> Tensor:
@@ -146,9 +157,11 @@ def _settle(points: Points, info: Info) -> Tensor:
 register_terms(
     "pick_cube_plan",  # reach from above with open fingers, pinch, carry, settle
     {
-        "approach": (1.0, _approach),
+        "approach": (1.5, _approach),
         "early": (4.0, _early),
         "low": (3.0, _low),
+        "press": (1.0, _press),
+        "effort": (1.0, _effort),
         "disturb": (0.5, _disturb),
         "carry": (-2.0, _carry),
         "settle": (0.3, _settle),

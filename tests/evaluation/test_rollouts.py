@@ -1,0 +1,157 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from pwm_gym.data import KINDS, Dataset
+from pwm_gym.dynamics import build_model
+from pwm_gym.evaluation import evaluate_rollouts, long_rollouts, predict, validation_metrics
+from pwm_gym.evaluation.floors import chaos_floor, sampling_floor
+from pwm_gym.evaluation.rollouts import OBSERVED, position_errors, rotation_errors
+from pwm_gym.scene import PointState, RigidState, resample_clouds, sample_clouds
+from pwm_gym.scene.se3 import matrix_from_pose7
+from pwm_gym.tasks import get_task
+
+TASK = get_task("PickCube")
+HAND, CUBE = TASK.layout.index("hand"), TASK.layout.index("cube")
+
+
+@pytest.fixture(scope="module")
+def dataset(train_split):
+    """Two episodes of each kind, with few points, so that scoring is quick."""
+    layout = TASK.layout.truncate(40)
+    clouds = resample_clouds(train_split.clouds, train_split.layout, layout)
+    return Dataset("PickCube", layout, clouds, train_split.episodes[:2] + train_split.episodes[4:6])
+
+
+class Replay:
+    """A world model that knows the data set by heart."""
+
+    action_size = 7
+
+    def __init__(self, dataset, form=lambda s: s, error=0.0):
+        self.layout, self.prepare, self._error = dataset.layout, form, error
+        longest = max(len(e) for e in dataset.episodes)
+        index = np.arange(OBSERVED, longest + 1)
+        poses = np.stack([e.poses[np.minimum(index, len(e))] for e in dataset.episodes])
+        self._truth = matrix_from_pose7(torch.as_tensor(poses, dtype=torch.float64)).float()  # (M, H, E, 4, 4)
+        self.actions = []
+
+    def step(self, state, action):
+        poses = self._truth[:, len(self.actions)].clone()
+        poses[..., 2, 3] += self._error
+        self.actions.append(action)
+        if isinstance(state, RigidState):
+            return state.advance(poses)
+        return state.advance(RigidState(state.layout, state.clouds, poses[:, None].expand(-1, 3, -1, -1, -1)).points())
+
+
+def test_three_clouds_are_observed_and_the_rest_predicted(dataset):
+    rollouts = predict(Replay(dataset), dataset)
+    assert rollouts.lengths.tolist() == [len(e) - 2 for e in dataset.episodes]
+    assert rollouts.poses.shape[:2] == (4, rollouts.lengths.max())
+    assert rollouts.mask.sum(1).tolist() == rollouts.lengths.tolist()
+
+
+def test_the_model_gets_the_actions_that_were_made(dataset):
+    model = Replay(dataset)
+    predict(model, dataset)
+    for m, episode in enumerate(dataset.episodes):
+        given = torch.stack(model.actions, 1)[m, : len(episode) - 2]
+        np.testing.assert_array_equal(given, episode.actions[2:])
+
+
+@pytest.mark.parametrize("form", [lambda s: s, PointState.of], ids=["rigid", "points"])
+def test_a_perfect_model_has_no_error(dataset, form):
+    rollouts = predict(Replay(dataset, form), dataset)
+    for entity in range(4):
+        position, rotation = position_errors(rollouts, entity), rotation_errors(rollouts, entity)
+        assert position.nan_to_num().max() < 1e-5
+        assert rotation.nan_to_num().max() < 0.2  # degrees; of registration in single precision
+        assert (position.isnan() == ~rollouts.mask).all()
+
+
+def test_errors_are_the_distance_from_the_truth(dataset):
+    rollouts = predict(Replay(dataset, error=0.01), dataset)
+    error = position_errors(rollouts, CUBE)[rollouts.mask]
+    torch.testing.assert_close(error, torch.full_like(error, 0.01), atol=1e-6, rtol=0)
+
+
+@pytest.mark.parametrize("form", [lambda s: s, PointState.of], ids=["rigid", "points"])
+def test_an_oracle_effector_is_the_truth_exactly(dataset, form):
+    rollouts = predict(Replay(dataset, form, error=0.01), dataset, oracle_effector=True)
+    truth = predict(Replay(dataset), dataset).states
+    links = slice(0, dataset.layout["cube"].start)
+    points, expected = rollouts.states.points(), truth.points()
+    torch.testing.assert_close(points[:, :, links], expected[:, :, links], atol=1e-6, rtol=0)
+    lift = (points - expected)[:, :, dataset.layout["cube"].slice, 2]
+    torch.testing.assert_close(lift, torch.full_like(lift, 0.01), atol=1e-5, rtol=0)
+
+
+def test_the_table_of_a_perfect_model(dataset):
+    table = evaluate_rollouts(Replay(dataset), TASK, dataset, progress=False)
+    kinds = [KINDS[e.kind] for e in dataset.episodes]
+    assert table["practice"]["episodes"] == kinds.count("practice") == 2
+    assert table["all"]["episodes"] == 2
+    for row in table.values():
+        assert row["chamfer_l1"] < 1e-6 and row["chamfer_l2"] < 1e-6 and row["chamfer_l1_entity_mean"] < 1e-6
+        assert row["reward_correlation"] == pytest.approx(row["reward_correlation_ceiling"], abs=1e-6)
+        assert row["entities"]["cube"]["position_mm"]["10"]["mean"] < 0.01
+
+
+def test_the_table_of_a_known_error(dataset):
+    """Everything 3 mm too high: for points so far apart, that is the Chamfer distance, or a little less."""
+    row = evaluate_rollouts(Replay(dataset, error=0.003), TASK, dataset, progress=False)["practice"]
+    assert 0.002 < row["chamfer_l1"] <= 0.003 + 1e-6
+    assert row["chamfer_l2"] <= row["chamfer_l1"] + 1e-6
+    for name in dataset.layout.names:
+        for step in ("10", "30", "60", "last"):
+            assert row["entities"][name]["position_mm"][step]["mean"] == pytest.approx(3.0, abs=0.01)
+    assert len(row["chamfer_l1_by_step"]) == 78
+
+
+def test_trajectories_shorter_than_a_step_are_left_out_and_counted(dataset):
+    def cut(episode, steps):
+        changes = {n: getattr(episode, n)[:steps] for n in ("actions", "rewards", "success", "grasped")}
+        return replace(episode, poses=episode.poses[: steps + 1], joints=episode.joints[: steps + 1], **changes)
+
+    practice = dataset.of_kinds(("practice",)).episodes
+    short = replace(dataset, episodes=(cut(practice[0], 31), practice[1], cut(practice[1], 8)))
+    row = evaluate_rollouts(Replay(short, error=0.001), TASK, short, progress=False)["practice"]
+    position = row["entities"]["cube"]["position_mm"]
+    assert {k: v["episodes"] for k, v in position.items()} == {"10": 2, "30": 1, "60": 1, "last": 3}
+    assert row["mean_steps"] == pytest.approx((29 + 78 + 6) / 3)
+
+
+def test_a_model_that_blows_up_is_counted_not_hidden(dataset):
+    row = evaluate_rollouts(Replay(dataset, error=float("nan")), TASK, dataset, progress=False)["practice"]
+    assert row["chamfer_l1"] == np.inf
+
+
+def test_validation_metrics_name_kinds_and_entities(dataset):
+    metrics = validation_metrics(build_model("still", dataset.layout, 7, ()), dataset)
+    assert set(metrics) == {f"{k}_{e}_mm" for k in ("demonstration", "practice") for e in ("hand", "cube")}
+    rollouts = predict(build_model("still", dataset.layout, 7, ()), dataset.of_kinds(("practice",)))
+    expected = 1e3 * position_errors(rollouts, HAND).nanmean().item()
+    assert metrics["practice_hand_mm"] == pytest.approx(expected) and expected > 10
+
+
+def test_long_rollouts_of_a_still_world(dataset):
+    out = long_rollouts(build_model("still", dataset.layout, 7, ()), dataset, steps=5)
+    assert out["zero_actions_mm"] == {"hand": 0.0, "cube": 0.0}
+    assert out["finite"] and 0.5 < out["random_actions_m"] < 1.0 and out["steps"] == 5
+
+
+def test_the_sampling_floor(train_split, simulator):
+    assert sampling_floor(train_split, train_split.clouds)["chamfer_l1"] == 0
+    fresh = sample_clouds(simulator.meshes(), train_split.layout, seed=1000)
+    floor = sampling_floor(train_split, fresh)
+    assert 0.002 < floor["chamfer_l2"] < floor["chamfer_l1"] < 0.008
+
+
+def test_the_chaos_floor(train_split, simulator):
+    practice = train_split.of_kinds(("practice",)).episodes[:1]
+    floor = chaos_floor(simulator, TASK, replace(train_split, episodes=practice), progress=False)
+    assert 1e-5 < floor["chamfer_l1"] < 0.02
+    assert 0.1 < floor["cube_last_mm"]["mean"] < 300

@@ -1,0 +1,183 @@
+from dataclasses import asdict, replace
+
+import pytest
+import torch
+
+from pwm_gym.errors import PwmGymError
+from pwm_gym.planning import MPPI, MPPIConfig
+
+SMALL = MPPIConfig(samples=128, horizon=8, elites=16, sigma=(0.4,), finest=(0.2,), correlation=0.5)
+TARGET = torch.tensor([0.4, -0.3])
+
+
+def point_mass(start=(0.0, 0.0), target=TARGET):
+    """Costs of a point that moves 0.1 per unit of action: distance from the target at every step."""
+
+    def objective(actions):
+        place = torch.tensor(start) + 0.1 * actions[..., :2].cumsum(-2)
+        return (place - target).norm(dim=-1).sum(-1)
+
+    return objective
+
+
+def generator(seed=0):
+    return torch.Generator().manual_seed(seed)
+
+
+def execute(config, steps, start=(0.0, 0.0)):
+    """Closed loop; the places that the point comes to."""
+    planner, noise, place, places = MPPI(config, 2), generator(), torch.tensor(start), []
+    for _ in range(steps):
+        action = planner.plan(point_mass(place.tolist()), noise)[0, 0]
+        place = place + 0.1 * action
+        places.append(place)
+    return torch.stack(places)
+
+
+def test_a_point_mass_reaches_its_target_and_stays():
+    places = execute(SMALL, 20)
+    assert (places[10:] - TARGET).norm(dim=-1).max() < 0.03
+
+
+def test_the_papers_settings_reach_it_roughly():
+    """Sigma 5 saturates most samples: the point comes near, and jitters."""
+    places = execute(MPPIConfig.paper(), 30)
+    assert (places[10:] - TARGET).norm(dim=-1).mean() < 0.1
+
+
+def test_the_papers_table():
+    paper = asdict(MPPIConfig.paper(horizon=20))
+    expected = {"samples": 200, "elites": 64, "temperature": 0.7, "sigma": (5.0,), "horizon": 20, "iterations": 1}
+    assert {k: paper[k] for k in expected} == expected
+    assert not paper["relative"] and paper["correlation"] == 0.0 and paper["finest"] == (1.0,)
+    assert MPPIConfig.paper().horizon == 10
+
+
+def test_iterations_improve_a_plan():
+    objective = point_mass()
+    costs = [
+        objective(MPPI(replace(SMALL, iterations=n), 2).plan(objective, generator()).unsqueeze(1)).item() for n in (1, 8)
+    ]
+    best = 0.5 + 0.4 + 0.3  # straight there at 0.1 an axis and step, hence 4 steps
+    assert costs[1] < 0.9 * costs[0]
+    assert costs[1] < best
+
+
+def test_the_seed_decides_the_plan():
+    plans = [MPPI(SMALL, 2).plan(point_mass(), generator(seed)) for seed in (0, 0, 1)]
+    assert torch.equal(plans[0], plans[1])
+    assert not torch.equal(plans[0], plans[2])
+
+
+def test_the_plan_is_warm_started_from_the_last_one_shifted():
+    planner = MPPI(SMALL, 2)
+    plan = planner.plan(point_mass(), generator())
+    seen = []
+    planner.plan(lambda a: (seen.append(a), point_mass()(a))[1], generator(1))
+    mean = seen[0][:, -1]  # the last sample is the mean itself
+    torch.testing.assert_close(mean, torch.cat([plan[:, 1:], plan[:, -1:]], 1))
+    planner.reset()
+    planner.plan(lambda a: (seen.append(a), point_mass()(a))[1], generator(1))
+    rest = torch.zeros(1, 8, 2)
+    rest[..., -1] = 1.0  # an open gripper
+    torch.testing.assert_close(seen[1][:, -1], rest)
+
+
+@pytest.mark.parametrize("config", [SMALL, MPPIConfig.paper(), replace(SMALL, sigma=(50.0, 0.0))])
+def test_samples_and_plans_are_actions(config):
+    seen = []
+    plan = MPPI(config, 2).plan(lambda a: (seen.append(a), point_mass()(a))[1], generator())
+    assert seen[0].shape == (1, config.samples, config.horizon, 2)
+    assert plan.shape == (1, config.horizon, 2)
+    assert seen[0].abs().max() <= 1 and plan.abs().max() <= 1
+
+
+def test_a_dimension_without_noise_keeps_its_mean():
+    seen = []
+    config = replace(SMALL, sigma=(0.5, 0.0))
+    MPPI(config, 2).plan(lambda a: (seen.append(a), point_mass()(a))[1], generator())
+    assert (seen[0][..., 1] == 1.0).all() and seen[0][..., 0].std() > 0.1
+
+
+def test_noise_has_the_correlation_and_the_scales_it_is_given():
+    seen = []
+    config = MPPIConfig(samples=4000, horizon=6, elites=16, sigma=(0.1,), finest=(0.1,), correlation=0.8)
+    MPPI(config, 1).plan(lambda a: (seen.append(a), a.sum((-1, -2)))[1], generator())
+    noise = seen[0][0, :, :, 0] - 1.0  # around the open gripper; clipped above
+    inside = seen[0][0, :-1, :, 0] < 1.0
+    assert 0.4 < inside.float().mean() < 0.6
+    wide, fine = noise[:1000].abs().mean(), noise[-1000:].abs().mean()
+    assert fine < 0.4 * wide
+
+
+def test_correlation_of_steps():
+    seen = []
+    config = MPPIConfig(samples=4000, horizon=3, elites=16, sigma=(0.1, 0.1), finest=(1.0,), correlation=0.8)
+    MPPI(config, 2).plan(lambda a: (seen.append(a), a.sum((-1, -2)))[1], generator())
+    steps = seen[0][0, :-1, :, 0]
+    assert steps.std(0) == pytest.approx([0.1] * 3, rel=0.05)
+    assert torch.corrcoef(steps.T)[0, 1].item() == pytest.approx(0.8, abs=0.03)
+    assert torch.corrcoef(steps.T)[0, 2].item() == pytest.approx(0.64, abs=0.04)
+
+
+def test_one_elite_is_the_cheapest_sample():
+    seen = []
+
+    def objective(actions):
+        seen.append(actions)
+        return point_mass()(actions)
+
+    plan = MPPI(replace(SMALL, elites=1), 2).plan(objective, generator())
+    best = point_mass()(seen[0])[0].argmin()
+    torch.testing.assert_close(plan[0], seen[0][0, best])
+
+
+@pytest.mark.parametrize("relative", [True, False])
+def test_a_low_temperature_takes_the_best_elite_and_a_high_one_their_mean(relative):
+    seen = []
+
+    def objective(actions):
+        seen.append(actions)
+        return point_mass()(actions)
+
+    plans = [
+        MPPI(replace(SMALL, temperature=t, relative=relative), 2).plan(objective, generator()) for t in (1e-4, 1e4)
+    ]
+    order = point_mass()(seen[0])[0].argsort()[:16]
+    torch.testing.assert_close(plans[0][0], seen[0][0, order[0]], atol=1e-3, rtol=0)
+    torch.testing.assert_close(plans[1][0], seen[0][0, order].mean(0), atol=1e-3, rtol=0)
+
+
+def test_a_batch_of_environments_is_planned_at_once():
+    starts, targets = torch.tensor([[0.0, 0.0], [0.2, 0.2], [-0.1, 0.0]]), torch.tensor([[0.4, -0.3], [0, 0], [0.3, 0.3]])
+
+    def objective(actions):  # (B, S, H, 2)
+        place = starts[:, None, None] + 0.1 * actions.cumsum(-2)
+        return (place - targets[:, None, None]).norm(dim=-1).sum(-1)
+
+    config = replace(SMALL, iterations=8)
+    together = objective(MPPI(config, 2).plan(objective, generator(), batch=3).unsqueeze(1))[:, 0]
+    for b in range(3):
+        single = point_mass(starts[b].tolist(), targets[b])
+        alone = single(MPPI(config, 2).plan(single, generator(b)).unsqueeze(1)).item()
+        assert together[b].item() == pytest.approx(alone, rel=0.1)
+
+
+def test_another_batch_size_forgets_the_last_plan():
+    planner = MPPI(SMALL, 2)
+    planner.plan(point_mass(), generator(), batch=1)
+    assert planner.plan(point_mass(), generator(), batch=2).shape == (2, 8, 2)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"sigma": (0.1, 0.2, 0.3)}, "sigma has 3 values; expected 1 or 2"),
+        ({"finest": ()}, "finest has 0 values; expected 1 or 2"),
+        ({"elites": 129}, "elites=129; expected 1 to samples=128"),
+        ({"elites": 0}, "elites=0; expected 1 to samples=128"),
+    ],
+)
+def test_settings_that_cannot_be_are_refused(changes, message):
+    with pytest.raises(PwmGymError, match=message):
+        MPPI(replace(SMALL, **changes), 2)

@@ -1,0 +1,170 @@
+import json
+import subprocess
+import sys
+
+import pytest
+
+from pwm_gym.cli import main
+
+COMMANDS = ("demo", "envs", "collect", "train", "evaluate", "plan", "bench", "check-cost")
+
+
+def failure(*args) -> str:
+    """The one line that the command ends with."""
+    with pytest.raises(SystemExit) as end:
+        main([str(a) for a in args])
+    message = str(end.value)
+    assert message.startswith("pwm-gym: ") and "\n" not in message
+    return message
+
+
+def test_envs_lists_models_and_twins(capsys):
+    main(["envs"])
+    lines = capsys.readouterr().out.splitlines()
+    assert any("pwm/PickCube-v0" in x and "world model" in x and "100 steps" in x for x in lines)
+    assert any("pwm/PickCubeSim-v0" in x and "simulator twin" in x for x in lines)
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_explains_itself(command, capsys):
+    with pytest.raises(SystemExit) as end:
+        main([command, "--help"])
+    assert end.value.code == 0
+    help_text = capsys.readouterr().out
+    assert f"usage: pwm-gym {command}" in help_text
+    assert command == "envs" or "--task" in help_text or "COST" in help_text.upper()
+
+
+def test_help_lists_every_command(capsys):
+    with pytest.raises(SystemExit):
+        main(["--help"])
+    text = capsys.readouterr().out
+    assert [c for c in COMMANDS if c not in text] == []
+
+
+def test_the_module_is_the_command():
+    done = subprocess.run([sys.executable, "-m", "pwm_gym", "envs"], capture_output=True, text=True, check=True)
+    assert "pwm/PickCube-v0" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("args", "message"),
+    [
+        (["collect", "--task", "PickCub", "--out"], "unknown task 'PickCub'; known: "),
+        (["plan", "--checkpoint", "nothing"], "unknown checkpoint 'nothing'; known: "),
+        (["demo", "--checkpoint", "PickCub"], "Did you mean 'PickCube'?"),
+        (["plan", "--seeds", "plan_tst"], "unknown range of seeds 'plan_tst'; known: plan_test, plan_validation, "),
+        (["train", "--data", "nowhere", "--out"], "nowhere is not a data set"),
+        (["evaluate", "--data", "nowhere"], "nowhere is not a data set"),
+        (["evaluate", "--task", "Pick", "--data", "nowhere"], "unknown task 'Pick'"),
+        (["check-cost", "--cost", "pick_cubes"], "unknown cost 'pick_cubes'; known: "),
+    ],
+)
+def test_errors_about_input_are_one_line(args, message, tmp_path):
+    if args[-1] == "--out":
+        args = [*args, tmp_path / "out"]
+    assert message in failure(*args)
+
+
+COSTS = '''
+import torch
+
+def fine(points, info):
+    return points["cube"].mean(-2)[..., 2]
+
+def constant(points, info):
+    return torch.ones(len(info["action"]))
+
+def mixed(points, info):
+    return points["cube"].mean((-2, -1)) - points["cube"].mean()
+
+def shape(points, info):
+    return points["cube"].mean(-2)
+
+def missing(points, info):
+    return points["mug"].mean((-2, -1))
+
+def nan(points, info):
+    return points["cube"].mean((-2, -1)) * float("nan")
+'''
+
+
+@pytest.fixture
+def cost_file(tmp_path):
+    path = tmp_path / "my_costs.py"
+    path.write_text(COSTS)
+    return path
+
+
+@pytest.mark.parametrize("name", ["pick_cube", "pick_cube_plan"])
+def test_check_cost_of_a_registered_name(name, capsys):
+    main(["check-cost", "--cost", name])
+    out = capsys.readouterr().out
+    assert f"cost '{name}' is fine on 8 scenes; differentiable" in out
+    assert out.count(" to ") >= 5  # a line each term
+
+
+def test_check_cost_of_a_files_function(cost_file, capsys):
+    main(["check-cost", "--cost", f"{cost_file}:fine"])
+    out = capsys.readouterr().out
+    assert "cost 'fine' is fine on 8 scenes; differentiable" in out
+    low, high = (float(x) for x in out.split("fine", 1)[1].splitlines()[0].split("to"))
+    assert 0.015 < low <= high < 0.025  # the cubes stand on the table
+    main(["check-cost", "--cost", f"{cost_file}:constant"])
+    assert "without a gradient here" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("function", "message"),
+    [
+        ("mixed", "cost 'mixed' of a scene depends on its batch"),
+        ("shape", "returned (8, 3); expected a tensor (8,)"),
+        ("missing", "no entity 'mug'; this scene has hand, left_gripper, right_gripper, cube"),
+        ("nan", "returned 8 of 8 values not finite"),
+        ("other", "has no function 'other'"),
+    ],
+)
+def test_check_cost_says_what_is_wrong(cost_file, function, message):
+    assert message in failure("check-cost", "--cost", f"{cost_file}:{function}")
+
+
+def test_check_cost_of_a_missing_file():
+    assert "no file 'none.py'; expected a registered cost or 'file.py:function'" in failure(
+        "check-cost", "--cost", "none.py:f"
+    )
+
+
+def test_evaluate_writes_its_table(data_folder, tmp_path, capsys):
+    args = f"evaluate --data {data_folder} --no-floors --threads 1 --json {tmp_path}/table.json"
+    main(args.split())
+    results = json.loads((tmp_path / "table.json").read_text())
+    assert {"still", "commanded", "linear", "oracle effector"} < set(results["rows"])
+    assert results["rows"]["still"]["practice"]["episodes"] == 1
+    assert results["long_rollouts"]["finite"] in (True, False)
+    out = capsys.readouterr().out
+    assert "PickCube, practice: 1 test episodes" in out and "ceiling" in out
+
+
+def test_plan_writes_its_table(tmp_path, capsys):
+    args = "plan --episodes 1 --max-steps 3 --threads 1 --planner.samples 8 --planner.elites 4 --planner.horizon 2"
+    main([*args.split(), "--json", str(tmp_path / "plan.json")])
+    results = json.loads((tmp_path / "plan.json").read_text())
+    assert results["episodes"] == 1 and results["runs"][0]["steps"] == 3
+    assert results["planner"]["samples"] == 8
+    assert "closed loop in the simulator" in capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_demo_draws_both_worlds(tmp_path, capsys):
+    main(["demo", "--episodes", "1", "--threads", "1", "--out", str(tmp_path)])
+    assert {p.name for p in tmp_path.iterdir()} == {"twin.png", "twin.gif"}
+    assert "Chamfer L1" in capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_bench_writes_its_results(tmp_path):
+    args = f"bench --seconds 0.2 --num-envs 1 4 --threads 1 --json {tmp_path}/bench.json"
+    main(args.split())
+    results = json.loads((tmp_path / "bench.json").read_text())
+    assert results["simulator_steps_per_second"] > 0
+    assert set(results["model_steps_per_second"]) == {"1", "4"}
