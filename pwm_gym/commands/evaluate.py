@@ -27,6 +27,8 @@ class Evaluate:
     """A folder or a shipped checkpoint's name."""
     split: str = "test"
     """Which split."""
+    every: int = 1
+    """Chamfer distances are measured at each n-th step; all other metrics at every one."""
     floors: bool = True
     """Whether to measure the floors, which needs the simulator."""
     json: Path | None = None
@@ -47,17 +49,21 @@ class Evaluate:
         task = get_task(self.task)
         dataset = load_split(self.data, self.split, task.name)
         checkpoint = load_checkpoint(resolve(self.checkpoint, task.name), task.name)
-        rows = {checkpoint.kind: evaluate_rollouts(checkpoint.model, task, dataset)}
-        rows["oracle effector"] = evaluate_rollouts(checkpoint.model, task, dataset, oracle=True)
+        rows = {checkpoint.kind: evaluate_rollouts(checkpoint.model, task, dataset, every=self.every)}
+        rows["oracle effector"] = evaluate_rollouts(checkpoint.model, task, dataset, oracle=True, every=self.every)
         for name, model in _baselines(task, self.data).items():
-            rows[name] = evaluate_rollouts(model, task, dataset)
+            rows[name] = evaluate_rollouts(model, task, dataset, every=self.every)
         floors = _floors(task, dataset) if self.floors else {}
         _print(task, rows, floors)
         long = long_rollouts(checkpoint.model, dataset)
         print(f"300 zero actions, moved at the end (mm): {long['zero_actions_mm']}")
         print(f"300 random actions: farthest {long['random_actions_m']:.2f} m, finite: {long['finite']}")
         if self.json is not None:
-            results = {"split": self.split, "checkpoint": checkpoint.description["training"]["data"]}
+            results = {
+                "split": self.split,
+                "every": self.every,
+                "checkpoint": checkpoint.description["training"]["data"],
+            }
             write_results(self.json, {**results, "rows": rows, "floors": floors, "long_rollouts": long})
 
 

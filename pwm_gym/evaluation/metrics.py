@@ -21,6 +21,7 @@ def chamfer(a: np.ndarray, b: np.ndarray, order: int = 1) -> float:
 
 def pearson(a: np.ndarray, b: np.ndarray) -> float | None:
     """Pearson correlation of two series; None where one of them does not vary."""
+    a, b = np.asarray(a, np.float64), np.asarray(b, np.float64)  # in float32 a constant's deviation is not 0
     if len(a) < 2 or a.std() < 1e-9 or b.std() < 1e-9:
         return None
     return float(np.corrcoef(a, b)[0, 1])

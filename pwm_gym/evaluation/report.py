@@ -47,7 +47,12 @@ class _Scores:
 
 
 def evaluate_rollouts(
-    model: WorldModel, task: Task, dataset: Dataset, oracle: bool = False, progress: bool = True
+    model: WorldModel,
+    task: Task,
+    dataset: Dataset,
+    oracle: bool = False,
+    every: int = 1,
+    progress: bool = True,
 ) -> dict[str, Any]:
     """Metrics of ``model`` for each of :data:`SPLITS` that ``dataset`` has.
 
@@ -56,10 +61,11 @@ def evaluate_rollouts(
         task: gives the reward and the names.
         dataset: test split.
         oracle: whether the true end effector replaces the predicted one after each step.
+        every: Chamfer distances are measured at each ``every``-th step.
         progress: whether to show a bar.
     """
     rollouts = predict(model, dataset, oracle_effector=oracle)
-    scores = _score(rollouts, task, progress)
+    scores = _score(rollouts, task, every, progress)
     kinds = np.array([KINDS[e.kind] for e in rollouts.episodes])
     table = {}
     for split, wanted in SPLITS.items():
@@ -69,7 +75,7 @@ def evaluate_rollouts(
     return table
 
 
-def _score(rollouts: Rollouts, task: Task, progress: bool) -> _Scores:
+def _score(rollouts: Rollouts, task: Task, every: int, progress: bool) -> _Scores:
     count, horizon = rollouts.poses.shape[:2]
     distances = np.full((3, count, horizon), np.nan)
     correlations = np.full((2, count), np.nan)
@@ -78,7 +84,8 @@ def _score(rollouts: Rollouts, task: Task, progress: bool) -> _Scores:
             part = slice(k, k + _CHUNK)
             truth = _true_states(rollouts, part)
             predicted = rollouts.states[part]
-            _fill_distances(distances[:, part], predicted, truth, rollouts.lengths[part], pool.map)
+            places = [(m, h) for m, n in enumerate(rollouts.lengths[part]) for h in range(every - 1, n, every)]
+            _fill_distances(distances[:, part], predicted, truth, places, pool.map)
             correlations[:, part] = _correlations(rollouts, part, predicted, truth, task)
     return _Scores(*distances, *correlations)
 
@@ -94,9 +101,9 @@ def _true_states(rollouts: Rollouts, part: slice) -> RigidState:
 
 
 def _fill_distances(
-    out: np.ndarray, predicted: State, truth: State, lengths: np.ndarray, each: Callable[..., Any]
+    out: np.ndarray, predicted: State, truth: State, places: list[tuple[int, int]], each: Callable[..., Any]
 ) -> None:
-    """Chamfer L1, Euclidean and entity-mean L1 of each step, into ``out`` (3, M, H)."""
+    """Chamfer L1, Euclidean and entity-mean L1 at ``places``, into ``out`` (3, M, H)."""
     a, b = predicted.points().numpy(), truth.points().numpy()
     slices = [e.slice for e in truth.layout]
 
@@ -107,7 +114,6 @@ def _fill_distances(
         parts = [chamfer(p[s], q[s]) for s in slices]
         return chamfer(p, q), chamfer(p, q, order=2), float(np.mean(parts))
 
-    places = [(m, h) for m, length in enumerate(lengths) for h in range(length)]
     for (m, h), values in zip(places, each(one, places), strict=True):
         out[:, m, h] = values
 
@@ -153,7 +159,7 @@ def _summary(rollouts: Rollouts, scores: _Scores, chosen: np.ndarray) -> dict[st
         "reward_correlation": float(np.nanmean(scores.correlation[chosen])),
         "reward_correlation_ceiling": float(np.nanmean(scores.ceiling[chosen])),
         "reward_without_variance": int(np.isnan(scores.correlation[chosen]).sum()),
-        "chamfer_l1_by_step": [float(x) for x in _column_means(scores.chamfer[chosen])],
+        "chamfer_l1_by_step": _by_step(scores.chamfer[chosen]),
         "entities": {},
     }
     for i, name in enumerate(rollouts.states.layout.names):
@@ -164,10 +170,10 @@ def _summary(rollouts: Rollouts, scores: _Scores, chosen: np.ndarray) -> dict[st
     return out
 
 
-def _column_means(values: np.ndarray) -> np.ndarray:
-    """Mean over the episodes that are long enough, step by step, as far as half of them reach."""
-    reach = np.isfinite(values).sum(0) >= 0.5 * len(values)
-    return np.nanmean(values[:, reach], 0)
+def _by_step(values: np.ndarray) -> dict[str, float]:
+    """Mean of the measured steps (M, H), numbered from 1, as far as half of the episodes reach."""
+    measured = np.isfinite(values).sum(0)
+    return {str(h + 1): float(np.nanmean(values[:, h])) for h in np.flatnonzero(measured >= 0.5 * len(values))}
 
 
 def _at_steps(errors: np.ndarray, lengths: np.ndarray) -> dict[str, dict[str, float]]:

@@ -56,7 +56,8 @@ def test_the_papers_table():
 def test_iterations_improve_a_plan():
     objective = point_mass()
     costs = [
-        objective(MPPI(replace(SMALL, iterations=n), 2).plan(objective, generator()).unsqueeze(1)).item() for n in (1, 8)
+        objective(MPPI(replace(SMALL, iterations=n), 2).plan(objective, generator()).unsqueeze(1)).item()
+        for n in (1, 8)
     ]
     best = 0.5 + 0.4 + 0.3  # straight there at 0.1 an axis and step, hence 4 steps
     assert costs[1] < 0.9 * costs[0]
@@ -149,7 +150,10 @@ def test_a_low_temperature_takes_the_best_elite_and_a_high_one_their_mean(relati
 
 
 def test_a_batch_of_environments_is_planned_at_once():
-    starts, targets = torch.tensor([[0.0, 0.0], [0.2, 0.2], [-0.1, 0.0]]), torch.tensor([[0.4, -0.3], [0, 0], [0.3, 0.3]])
+    starts, targets = (
+        torch.tensor([[0.0, 0.0], [0.2, 0.2], [-0.1, 0.0]]),
+        torch.tensor([[0.4, -0.3], [0, 0], [0.3, 0.3]]),
+    )
 
     def objective(actions):  # (B, S, H, 2)
         place = starts[:, None, None] + 0.1 * actions.cumsum(-2)

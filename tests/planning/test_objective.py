@@ -106,5 +106,7 @@ def test_an_agent_follows_its_cost(model, start):
         return lambda points, info: sign * points["hand"].mean(-2)[..., 1]
 
     config = MPPIConfig(samples=64, elites=8, horizon=4, iterations=3)
-    towards = {sign: Agent(model, "PickCube", config, sideways(sign)).plan(start[0][0])[:, 1].mean() for sign in (-1, 1)}
+    towards = {
+        sign: Agent(model, "PickCube", config, sideways(sign)).plan(start[0][0])[:, 1].mean() for sign in (-1, 1)
+    }
     assert towards[-1] > 0.3 > -0.3 > towards[1]

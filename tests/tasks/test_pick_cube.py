@@ -37,9 +37,9 @@ def test_the_expert_picks_the_cube_in_nearly_every_of_40_episodes(simulator):
 def test_the_expert_goes_on_from_wherever_the_scene_is(simulator):
     simulator.reset(11)
     expert = TASK.expert(np.random.default_rng(0))
-    for step in range(40):  # half way, and then pushed about
+    for _ in range(40):  # half way, and then pushed about
         simulator.step(expert.act(simulator.poses(), simulator.goal()))
-    for step in range(5):
+    for _ in range(5):
         simulator.step(np.array([0, 0, 1, 0, 0, 0, 1], np.float32))
     other = TASK.expert(np.random.default_rng(1))
     assert any(simulator.step(other.act(simulator.poses(), simulator.goal())).success for _ in range(LIMIT))
