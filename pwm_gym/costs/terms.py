@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor
 
-__all__ = ["centre", "finger_gaps", "near_and_shut", "pinched", "speed", "tool_centre"]
+__all__ = ["centre", "finger_gaps", "near_and_shut", "pinched", "speed", "tool_centre", "width_between"]
 
 Points = Mapping[str, Tensor]
 
@@ -33,12 +33,23 @@ def finger_gaps(points: Points, name: str) -> Tensor:
     Zero: touching. Slightly negative: pressing. More: the finger is past that side, beside or above the object.
     """
     left, right = points["left_gripper"], points["right_gripper"]
-    axis = left.mean(-2) - right.mean(-2)
-    axis = (axis / axis.norm(dim=-1, keepdim=True).clamp_min(1e-6)).unsqueeze(-1)  # (B, 3, 1)
+    axis = _fingers_axis(points)
     along = (points[name] @ axis).squeeze(-1)
     left_gap = (left @ axis).squeeze(-1).amin(-1) - along.amax(-1)
     right_gap = along.amin(-1) - (right @ axis).squeeze(-1).amax(-1)
     return torch.stack([left_gap, right_gap], -1)
+
+
+def width_between(points: Points, name: str) -> Tensor:
+    """Extent (B,) of an object along the fingers' axis: what the fingers have to span."""
+    along = (points[name] @ _fingers_axis(points)).squeeze(-1)
+    return along.amax(-1) - along.amin(-1)
+
+
+def _fingers_axis(points: Points) -> Tensor:
+    """Unit vector (B, 3, 1) from the right finger's centre to the left one's."""
+    axis = centre(points, "left_gripper") - centre(points, "right_gripper")
+    return (axis / axis.norm(dim=-1, keepdim=True).clamp_min(1e-6)).unsqueeze(-1)
 
 
 def near_and_shut(points: Points, action: Tensor, name: str) -> Tensor:

@@ -178,7 +178,7 @@ def _by_step(values: np.ndarray) -> dict[str, float]:
 
 def _at_steps(errors: np.ndarray, lengths: np.ndarray) -> dict[str, dict[str, float]]:
     """Mean, median and count of errors (M, H) at :data:`STEPS` and at each episode's last step."""
-    columns = {str(k): errors[lengths >= k, k - 1] for k in STEPS}
+    columns = {str(k): errors[lengths >= k, k - 1] for k in STEPS if k <= errors.shape[1]}
     columns["last"] = errors[np.arange(len(errors)), lengths - 1]
     return {
         k: {"mean": float(v.mean()), "median": float(np.median(v)), "episodes": len(v)}

@@ -26,14 +26,15 @@ class MPPIConfig:
     """Steps that each looks ahead."""
     elites: int = 64
     """Cheapest sequences that are averaged (the paper's "top candidates")."""
-    temperature: float = 0.1
+    temperature: float = 0.05
     """The paper's lambda: the cost difference that makes a sequence e times less likely."""
     relative: bool = True
     """Whether the temperature is in units of the elites' cost spread."""
-    sigma: tuple[float, ...] = (0.3, 0.3, 0.3, 0.0, 0.0, 0.15, 0.7)
+    sigma: tuple[float, ...] = (0.3, 0.3, 0.3, 0.0, 0.0, 0.3, 0.7)
     """Noise's standard deviation in action units, for each action dimension or one for all."""
-    correlation: float = 0.7
-    """Correlation of the noise from one step to the next; 0 is white."""
+    correlation: tuple[float, ...] = (0.7, 0.7, 0.7, 0.7, 0.7, 0.7, 0.97)
+    """Correlation of the noise from one step to the next, for each dimension or one for all; 0 is white. A gripper's is
+    high: one step's opening drops what is held, which would hide all other differences between the samples."""
     finest: tuple[float, ...] = (0.2, 0.2, 0.2, 1.0, 1.0, 0.2, 1.0)
     """The samples' noise is scaled from 1 down to this, for each dimension or one for all, so that some search wide and
     some refine; a gripper's is not, since only wide noise shuts it."""
@@ -43,7 +44,7 @@ class MPPIConfig:
     @classmethod
     def paper(cls, horizon: int = 10) -> MPPIConfig:
         """The paper's table; sigma 5 on actions in [-1, 1] saturates most samples."""
-        return cls(200, horizon, 64, 0.7, relative=False, sigma=(5.0,), correlation=0.0, finest=(1.0,))
+        return cls(200, horizon, 64, 0.7, relative=False, sigma=(5.0,), correlation=(0.0,), finest=(1.0,))
 
 
 class MPPI:
@@ -59,7 +60,7 @@ class MPPI:
     """
 
     def __init__(self, config: MPPIConfig, action_size: int, device: torch.device | str = "cpu") -> None:
-        for name in ("sigma", "finest"):
+        for name in ("sigma", "finest", "correlation"):
             count = len(getattr(config, name))
             if count not in (1, action_size):
                 raise PwmGymError(f"{name} has {count} values; expected 1 or {action_size}")
@@ -70,6 +71,8 @@ class MPPI:
         scale = torch.linspace(0.0, 1.0, config.samples, device=device).unsqueeze(-1)  # of each sample's noise
         finest = torch.tensor(config.finest, device=device)
         self._sigma = (sigma * (1.0 - scale * (1.0 - finest))).unsqueeze(1)  # (S, 1, A)
+        self._keep = torch.tensor(config.correlation, device=device)
+        self._fresh = (1.0 - self._keep.square()).sqrt()
         self._mean: Tensor | None = None  # (B, H, A)
 
     def reset(self) -> None:
@@ -105,9 +108,8 @@ class MPPI:
         c = self.config
         shape = (len(mean), c.samples, c.horizon, self.action_size)
         noise = torch.randn(shape, generator=generator, device=mean.device)
-        fresh = (1.0 - c.correlation**2) ** 0.5
         for h in range(1, c.horizon):
-            noise[:, :, h] = c.correlation * noise[:, :, h - 1] + fresh * noise[:, :, h]
+            noise[:, :, h] = self._keep * noise[:, :, h - 1] + self._fresh * noise[:, :, h]
         noise[:, -1] = 0.0
         return (mean.unsqueeze(1) + self._sigma * noise).clamp(-1.0, 1.0)
 

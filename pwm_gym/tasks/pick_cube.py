@@ -86,6 +86,7 @@ register_terms(
 
 # The planners' cost: a grasp that cannot be fooled ----------------------------------------------------------------
 
+_SUNK = 0.010  # metres by which a pad may overlap the cube's extent and still count as pressing on it
 _CLEAR = 0.05  # metres over the cube's centre at which open fingers clear its top
 
 
@@ -100,7 +101,7 @@ def _early(points: Points, info: Info) -> Tensor:
     gaps = terms.finger_gaps(points, "cube")
     width = (terms.centre(points, "left_gripper") - terms.centre(points, "right_gripper")).norm(dim=-1)
     shut = ((0.100 - width) / 0.04).clamp(0, 1)  # the fingers' centres are 10.7 cm apart when open, 2.7 cm shut
-    crushed = torch.sigmoid(-(gaps.amin(-1) + 0.006) / 0.002)
+    crushed = torch.sigmoid(-(gaps.amin(-1) + _SUNK) / 0.002)
     return shut * torch.maximum(_away(points), crushed)
 
 
@@ -135,11 +136,17 @@ def _disturb(points: Points, info: Info) -> Tensor:
 
 
 def _firm(points: Points, info: Info) -> Tensor:
-    """Soft form of :func:`pwm_gym.costs.terms.pinched`, in [0, 1]."""
-    gaps = terms.finger_gaps(points, "cube").abs().amax(-1)
-    touching = torch.sigmoid((0.004 - gaps) / 0.001)
+    """Soft form of :func:`pwm_gym.costs.terms.pinched`, in [0, 1]; a model lets the pads sink deeper."""
+    gaps = terms.finger_gaps(points, "cube")
+    pressing = torch.sigmoid((0.001 - gaps.amax(-1)) / 0.0007) * torch.sigmoid((gaps.amin(-1) + _SUNK) / 0.001)
     near = torch.sigmoid((0.020 - _reach_distance(points)) / 0.002)
-    return touching * near * (info["action"][..., -1] < 0)
+    return pressing * near * (info["action"][..., -1] < 0)
+
+
+def _askew(points: Points, info: Info) -> Tensor:
+    """How much wider than a side the cube is along the fingers' axis: 0 where they are aligned, 1 on its diagonal."""
+    width = terms.width_between(points, "cube")
+    return ((width - _CUBE_WIDTH) / (0.414 * _CUBE_WIDTH)).clamp(0, 1)
 
 
 def _carry(points: Points, info: Info) -> Tensor:
@@ -160,6 +167,7 @@ register_terms(
         "approach": (1.5, _approach),
         "early": (4.0, _early),
         "low": (3.0, _low),
+        "askew": (2.0, _askew),
         "press": (1.0, _press),
         "effort": (1.0, _effort),
         "disturb": (0.5, _disturb),

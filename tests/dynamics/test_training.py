@@ -52,7 +52,7 @@ def assert_equal(a, b):
 
 
 def test_the_loss_goes_down(windows, tmp_path):
-    config = TrainConfig(phases=((1, 80, 32),), learning_rate=5e-3, validate_every=1000, threads=1, average=0.9)
+    config = TrainConfig(phases=((1, 150, 32),), learning_rate=1e-2, validate_every=1000, threads=1, average=0.9)
     model = compact(windows)
     model.response.root_weight.zero_()  # which leaves the network something to learn
     batch = windows.sample(torch.Generator().manual_seed(99), 256, 1)

