@@ -41,7 +41,7 @@ class CheckCost:
         points, info = cost_info(state, action, goal, get_grasp(task.grasp))
         terms = cost.evaluate(points, info)
         for name, value in terms.items():
-            print(f"  {name:16s} {float(value.min()):9.4f} to {float(value.max()):9.4f}")
+            print(f"  {name:16s} {float(value.detach().min()):9.4f} to {float(value.detach().max()):9.4f}")
         total = torch.stack(list(terms.values())).sum(0)
         one = state.map(lambda x: x[:1])
         alone = cost(*cost_info(one, action[:1], goal[:1], get_grasp(task.grasp)))

@@ -97,7 +97,7 @@ class LinearResponse(nn.Module):
         """Root position (B, 3) within the arm's reach: distance from the base's axis and height, as ever observed."""
         farthest, lowest, highest = self.reach
         radius = position[:, :2].norm(dim=-1, keepdim=True).clamp_min(1e-6)
-        flat = position[:, :2] * (farthest / radius).clamp_max(1.0)
+        flat = position[:, :2] * (torch.minimum(radius, farthest) / radius)
         return torch.cat([flat, torch.clamp(position[:, 2:], lowest, highest)], -1)
 
     @torch.no_grad()

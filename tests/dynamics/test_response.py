@@ -114,7 +114,6 @@ def test_positions_are_confined_to_what_was_observed(layout):
     torch.testing.assert_close(far[:, 2], torch.stack([seen[:, 2].max(), seen[:, 2].min()]))
 
 
-@pytest.mark.xfail(strict=True, reason="inf / radius in confine: its gradient is 0 * inf until fit() sets the reach")
 def test_an_unfitted_reach_has_a_gradient(layout):
     position = torch.tensor([[0.5, 0.1, 0.2]], requires_grad=True)
     LinearResponse(layout, ACTION).confine(position).sum().backward()
