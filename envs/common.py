@@ -70,7 +70,7 @@ def check_actions(actions: Any, shape: tuple[int, ...]) -> Tensor:
     Raises:
         PwmGymError: wrong shape or dtype, NaN, or a value outside [-1, 1].
     """
-    value = actions if isinstance(actions, Tensor) else np.asarray(actions)
+    value: Any = actions if isinstance(actions, Tensor) else np.asarray(actions)
     torched = isinstance(value, Tensor)
     if not (value.is_floating_point() if torched else np.issubdtype(value.dtype, np.floating)):
         raise PwmGymError(f"actions have dtype {value.dtype}; expected floating point")

@@ -130,7 +130,7 @@ class ModelEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
         done = bool(terminated[0]), bool(truncated[0])
         return _first(observation), float(reward[0]), *done, _first_info(info)
 
-    def render(self) -> np.ndarray | None:  # type: ignore[override]
+    def render(self) -> np.ndarray | None:
         """A picture (H, W, 3) uint8 with ``render_mode="rgb_array"``."""
         pictures = self.vector.render()
         return None if pictures is None else pictures[0]

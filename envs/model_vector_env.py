@@ -203,7 +203,7 @@ class ModelVectorEnv(EzPickle, gym.vector.VectorEnv[dict[str, np.ndarray], np.nd
             bank = self.checkpoint.bank
             draws = [int(torch.randint(len(bank), (), generator=self._generators[i])) for i in chosen]
             return [bank.scene(k).coarsen(self.layout) for k in draws]
-        scenes = list(scene) if isinstance(scene, list | tuple) else [scene] * len(chosen)
+        scenes: list[Any] = list(scene) if isinstance(scene, list | tuple) else [scene] * len(chosen)
         if len(scenes) != len(chosen):
             raise PwmGymError(f"{len(scenes)} scenes for {len(chosen)} environments to reset")
         for item in scenes:

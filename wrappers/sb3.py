@@ -79,7 +79,7 @@ class SB3VecEnv(VecEnv):
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         final = info.get("final_info", info)
         last = self._last_poses() if self._poses and done.any() else None
-        for i in np.flatnonzero(done):
+        for i in map(int, np.flatnonzero(done)):
             infos[i] = {
                 "is_success": bool(final["success"][i]),
                 "TimeLimit.truncated": bool(truncated[i] and not terminated[i]),

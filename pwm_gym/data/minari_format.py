@@ -36,7 +36,9 @@ def export_minari(dataset: Dataset, dataset_id: str) -> Any:
 
     task, first = get_task(dataset.task), dataset.episodes[0]
     shapes = {"poses": first.poses.shape[1:], "joints": first.joints.shape[1:], "goal": first.goal.shape}
-    spaces = {k: gym.spaces.Box(-_SPAN, _SPAN, shape, np.float32) for k, shape in shapes.items()}
+    spaces: dict[str, gym.Space[Any]] = {
+        k: gym.spaces.Box(-_SPAN, _SPAN, shape, np.float32) for k, shape in shapes.items()
+    }
     buffers = [EpisodeBuffer(id=i, seed=e.seed, **_arrays(e)) for i, e in enumerate(dataset.episodes)]
     return minari.create_dataset_from_buffers(
         dataset_id,

@@ -67,7 +67,7 @@ class Scene:
         }
         for name in ("joints", "joint_velocities"):
             if getattr(self, name) is not None:
-                shapes[name] = (np.size(self.joints),)
+                shapes[name] = (0 if self.joints is None else len(self.joints),)
         for name, shape in shapes.items():
             array = getattr(self, name)
             if not isinstance(array, np.ndarray):
