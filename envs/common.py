@@ -32,7 +32,7 @@ BOUND = 2.0
 _SPEED = 1.0  # metres a step: bound of velocities
 
 
-def observation_space(layout: Layout, goal_size: int) -> spaces.Dict:
+def observation_space(layout: Layout, goal_size: int) -> spaces.Space[Any]:
     """Dict of points, velocity and previous_velocity (N, 3) and goal (G,), float32, finite bounds."""
     shape = (layout.points, 3)
     return spaces.Dict(

@@ -79,7 +79,7 @@ class SimEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
         self.layout = self.task.layout if points is None else self.task.layout.resize(points)
         self.rules = Rules(self.task, cost, grasp)
         self.action_space = gym.spaces.Box(-1.0, 1.0, (self.task.action_size,), np.float32)
-        self.observation_space: gym.spaces.Dict = observation_space(self.layout, self.task.goal_size)
+        self.observation_space = observation_space(self.layout, self.task.goal_size)
         self.simulator: Simulator = self.task.simulator()
         self._full_clouds = sample_clouds(self.simulator.meshes(), self.task.layout, self.task.cloud_seed)
         self._scene: Scene | None = None
