@@ -118,7 +118,7 @@ def _start(task: str) -> dict[str, float]:
     runs = []
     for _ in range(3):
         code = _START.format(task=task)
-        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+        done = subprocess.run([sys.executable, "-P", "-c", code], capture_output=True, text=True, check=True)
         seconds, gib = map(float, done.stdout.split())
         runs.append((seconds, gib))
     seconds, gib = min(runs)

@@ -80,7 +80,7 @@ def test_registering_again_is_harmless():
 
 def test_module_prefix_registers_in_a_fresh_process():
     code = "import gymnasium as gym; print(gym.make('pwm_gym:pwm/PickCube-v0').unwrapped)"
-    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    out = subprocess.run([sys.executable, "-P", "-c", code], capture_output=True, text=True, check=True)
     assert out.stdout.strip() == "<ModelEnv<pwm/PickCube-v0>>"
 
 
