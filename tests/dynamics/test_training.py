@@ -112,7 +112,7 @@ def test_an_interrupted_run_resumes_to_the_same_weights(windows, tmp_path):
 
     with pytest.raises(KeyboardInterrupt):
         run(compact(windows), windows, QUICK, tmp_path / "cut", interrupt)
-    assert torch.load(tmp_path / "cut" / "training-state.pt")["step"] == 4
+    assert torch.load(tmp_path / "cut" / "training-state.pt", weights_only=True)["step"] == 4
     resumed = run(compact(windows, seed=5), windows, QUICK, tmp_path / "cut")
     assert_equal(resumed, whole)
     other = run(compact(windows), windows, replace(QUICK, seed=1), tmp_path / "other")
@@ -130,11 +130,11 @@ def test_a_finished_run_is_left_alone(windows, tmp_path):
 def test_what_is_saved_is_the_average_and_what_goes_on_is_not(windows, tmp_path):
     saved = []
     run(compact(windows), windows, QUICK, tmp_path, lambda m, _: saved.append(m.head.weight.detach().clone()))
-    state = torch.load(tmp_path / "training-state.pt")
+    state = torch.load(tmp_path / "training-state.pt", weights_only=True)
     assert torch.equal(saved[-1], state["average"]["head.weight"])
     assert not torch.equal(state["average"]["head.weight"], state["model"]["head.weight"])
     last = run(compact(windows), windows, replace(QUICK, average=0.0), tmp_path / "plain")
-    state = torch.load(tmp_path / "plain" / "training-state.pt")
+    state = torch.load(tmp_path / "plain" / "training-state.pt", weights_only=True)
     torch.testing.assert_close(last["head.weight"], state["model"]["head.weight"])
 
 
@@ -179,7 +179,7 @@ def test_phases_follow_one_another():
 def test_the_step_schedule_drops_tenfold(windows, tmp_path, steps, rate):
     config = replace(TrainConfig.paper(), phases=((1, steps, 2),), epoch_steps=2, step_size=2, threads=1)
     run(compact(windows), windows, config, tmp_path)
-    state = torch.load(tmp_path / "training-state.pt")["optimizer"]
+    state = torch.load(tmp_path / "training-state.pt", weights_only=True)["optimizer"]
     assert state["param_groups"][0]["lr"] == pytest.approx(rate)
 
 
@@ -220,7 +220,7 @@ def test_a_killed_run_resumes_to_the_same_checkpoint(data_folder, tmp_path):
         time.sleep(0.01)
     process.send_signal(signal.SIGKILL)
     assert process.wait() == -signal.SIGKILL
-    assert 0 < torch.load(out / "training-state.pt")["step"] < 60
+    assert 0 < torch.load(out / "training-state.pt", weights_only=True)["step"] < 60
     resumed = fit(fit_config(data_folder, out), config, lambda m, d: {}, progress=False)
     whole = fit(fit_config(data_folder, tmp_path / "whole"), config, lambda m, d: {}, progress=False)
     a, b = (load_checkpoint(folder, "PickCube").model for folder in (resumed, whole))
@@ -259,4 +259,4 @@ def test_two_processes_share_the_work(data_folder, tmp_path):
     assert done.returncode == 0, done.stderr[-3000:]
     checkpoint = load_checkpoint(tmp_path / "checkpoint", "PickCube")
     assert all(p.isfinite().all() for p in checkpoint.model.parameters())
-    assert torch.load(tmp_path / "training-state.pt")["step"] == 6
+    assert torch.load(tmp_path / "training-state.pt", weights_only=True)["step"] == 6
