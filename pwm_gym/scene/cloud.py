@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
-import fpsample
 import numpy as np
-import trimesh
 
 from pwm_gym.errors import SceneError
 from pwm_gym.scene.layout import Layout
+
+if TYPE_CHECKING:
+    import trimesh
 
 __all__ = ["resample_clouds", "sample_clouds", "sample_surface"]
 
@@ -21,6 +23,9 @@ def sample_surface(mesh: trimesh.Trimesh, count: int, seed: int) -> np.ndarray:
 
     Every prefix is itself well spread, so a coarser cloud is the first points of a finer one.
     """
+    import fpsample
+    import trimesh
+
     candidates, _ = trimesh.sample.sample_surface(mesh, count * _CANDIDATES, seed=seed)
     candidates = np.ascontiguousarray(candidates, dtype=np.float32)
     order = fpsample.fps_sampling(candidates, count, start_idx=0)

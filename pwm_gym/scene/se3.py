@@ -6,7 +6,6 @@ A pose is a (4, 4) homogeneous matrix that takes canonical coordinates to the wo
 
 from __future__ import annotations
 
-import roma
 import torch
 from torch import Tensor
 
@@ -57,6 +56,8 @@ def rotation_from_vector(vector: Tensor) -> Tensor:
 
 def vector_from_rotation(rotation: Tensor) -> Tensor:
     """Rotation vector (..., 3) in radians of a rotation (..., 3, 3)."""
+    import roma  # it takes 1.6 s to import, and environments do without
+
     return roma.rotmat_to_rotvec(rotation)
 
 
@@ -74,18 +75,33 @@ def motion_vector(rotation: Tensor) -> Tensor:
 
 def rotation_angle(a: Tensor, b: Tensor) -> Tensor:
     """Angle (...) in radians between rotations (..., 3, 3)."""
+    import roma
+
     return roma.rotmat_geodesic_distance(a, b)
 
 
 def matrix_from_pose7(pose7: Tensor) -> Tensor:
     """Pose (..., 4, 4) of its (..., 7) form."""
-    quaternion = torch.cat([pose7[..., 4:], pose7[..., 3:4]], -1)  # wxyz -> xyzw
-    quaternion = quaternion / quaternion.norm(dim=-1, keepdim=True)
-    return make_pose(roma.unitquat_to_rotmat(quaternion), pose7[..., :3])
+    quaternion = pose7[..., 3:] / pose7[..., 3:].norm(dim=-1, keepdim=True)
+    w, x, y, z = quaternion.unbind(-1)
+    rows = [
+        1 - 2 * (y * y + z * z),
+        2 * (x * y - w * z),
+        2 * (x * z + w * y),
+        2 * (x * y + w * z),
+        1 - 2 * (x * x + z * z),
+        2 * (y * z - w * x),
+        2 * (x * z - w * y),
+        2 * (y * z + w * x),
+        1 - 2 * (x * x + y * y),
+    ]
+    return make_pose(torch.stack(rows, -1).unflatten(-1, (3, 3)), pose7[..., :3])
 
 
 def pose7_from_matrix(pose: Tensor) -> Tensor:
     """(..., 7) form of a pose (..., 4, 4), with qw >= 0."""
+    import roma
+
     quaternion = roma.rotmat_to_unitquat(pose[..., :3, :3])
     quaternion = torch.where(quaternion[..., 3:] < 0, -quaternion, quaternion)
     return torch.cat([pose[..., :3, 3], quaternion[..., 3:], quaternion[..., :3]], -1)

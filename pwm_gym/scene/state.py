@@ -11,7 +11,6 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
-import roma
 import torch
 from torch import Tensor
 
@@ -168,6 +167,8 @@ class PointState:
 
     def _register(self, points: Tensor) -> Tensor:
         """Best-fitting entity poses (..., E, 4, 4) of points (..., N, 3) (Kabsch)."""
+        import roma
+
         poses = []
         for e in self.layout:
             target = points[..., e.slice, :]

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 import numpy as np
-import trimesh
 
 from pwm_gym.scene import Scene
+
+if TYPE_CHECKING:
+    import trimesh
 
 __all__ = ["SimOutcome", "Simulator"]
 
