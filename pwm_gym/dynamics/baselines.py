@@ -29,7 +29,7 @@ class BaselineConfig:
     rotation_unit: float = -0.1
     """Radians per unit of rotation."""
     reach: float = 0.025
-    """Metres between tool centre and object's centre within which it is grasped (paper, appendix)."""
+    """Metres between the fingers' centre (not yet the tool centre) and the object's within which it is grasped."""
     time_step: float = 0.05
     """Seconds per control step."""
 
