@@ -142,12 +142,14 @@ class ModelVectorEnv(EzPickle, gym.vector.VectorEnv[dict[str, np.ndarray], np.nd
     def scene(self, index: int = 0) -> Scene:
         """The present scene of one environment, velocities included: what ``options["scene"]`` takes."""
         frames = self.state.history()[index].double().cpu()  # (3, E, 4, 4)
+        joints = getattr(self.state, "joints", None)
         return Scene(
             task=self.task.name,
             layout=self.layout,
             clouds=self.state.clouds[index].cpu().numpy().copy(),
             poses=pose7_from_matrix(frames).numpy(),
             goal=self._goal[index].cpu().numpy().copy(),
+            joints=None if joints is None else joints[index].cpu().numpy().copy(),
             last_action=self._action[index].cpu().numpy().copy(),
         )
 
@@ -221,7 +223,7 @@ class ModelVectorEnv(EzPickle, gym.vector.VectorEnv[dict[str, np.ndarray], np.nd
         if self._state is None:
             self._state = fresh
         else:
-            pairs = iter((fresh.clouds, fresh.frames))
+            pairs = iter(fresh.tensors)
             self._state = self._state.map(lambda old: old.index_copy(0, index, next(pairs)))
         self._goal = self._goal.index_copy(0, index, goals)
         self._action = self._action.index_copy(0, index, torch.as_tensor(actions, device=self.device))

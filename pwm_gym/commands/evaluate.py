@@ -75,7 +75,7 @@ def _baselines(task: Task, data: Path) -> dict[str, Any]:
     every = Windows(load_split(data, "train", task.name)).transitions()
     models: dict[str, Any] = {}
     for name in _WITHOUT_LEARNING:
-        model: Any = build_model(name, task.layout, task.action_size, task.action_frame.vectors)
+        model: Any = build_model(name, task.layout, task.action_size, task.control)
         if hasattr(model, "response"):
             model.response.fit(every.frames, every.actions[:, 0], every.following[:, 0])
         models[name] = model

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Annotated
 
 import tyro
@@ -21,12 +21,16 @@ class Train:
     training: Annotated[TrainConfig, tyro.conf.arg(name="")] = field(default_factory=TrainConfig)
 
     paper: bool = False
-    """Train with the paper's table (H = 15, AdamW 1e-4, StepLR, Huber on velocities in metres) instead."""
+    """Train with the paper's table (H = 15, AdamW 1e-4, StepLR, Huber on velocities in metres) instead; of the options
+    of training, only seed, threads, validation and device then count."""
 
     def run(self) -> None:
         """Train, with a progress bar, TensorBoard curves and checkpoints."""
         from pwm_gym.data import fit
         from pwm_gym.evaluation import validation_metrics
 
-        training = TrainConfig.paper() if self.paper else self.training
+        training = self.training
+        if self.paper:
+            kept = {k: getattr(training, k) for k in ("seed", "threads", "validate_every", "device")}
+            training = replace(TrainConfig.paper(), **kept)
         print(f"checkpoint: {fit(self.fit, training, validation_metrics)}")

@@ -52,7 +52,7 @@ class Dataset:
             clouds=self.clouds,
             poses=episode.poses[frames].astype(np.float64),
             goal=episode.goal,
-            joints=episode.joints[step],
+            joints=episode.joints[frames],
             last_action=episode.actions[step - 1] if step else None,
         )
 
@@ -106,6 +106,7 @@ class Windows:
     def __init__(self, dataset: Dataset, boost: float = 1.0) -> None:
         poses = [torch.as_tensor(e.poses, dtype=torch.float64) for e in dataset.episodes]
         self._poses = matrix_from_pose7(torch.cat(poses)).float()  # (F, E, 4, 4)
+        self._joints = torch.cat([torch.as_tensor(e.joints) for e in dataset.episodes])
         self._actions = torch.cat([torch.as_tensor(np.r_[e.actions, e.actions[-1:]]) for e in dataset.episodes])
         self._clouds = torch.as_tensor(dataset.clouds)
         lengths = np.array([len(e) for e in dataset.episodes])
@@ -161,4 +162,6 @@ class Windows:
             frames=self._poses[history],
             actions=self._actions[ahead[:, :-1]],
             following=self._poses[ahead[:, 1:]],
+            joints=self._joints[history],
+            following_joints=self._joints[ahead[:, 1:]],
         )

@@ -66,7 +66,7 @@ def fit(config: FitConfig, training: TrainConfig, validate: Validate, progress: 
     windows = Windows(dataset, config.boost)
     held_out = load_split(config.data[0], "validation", task.name)
     torch.manual_seed(training.seed)
-    model = build_model(config.model, task.layout, task.action_size, task.action_frame.vectors, config.settings)
+    model = build_model(config.model, task.layout, task.action_size, task.control, config.settings)
     _fit_response(model, windows)
     checkpoint = config.out / "checkpoint"
     description: dict[str, Any] = {
@@ -92,11 +92,13 @@ def _joined(splits: list[Dataset]) -> Dataset:
 
 
 def _fit_response(model: nn.Module, windows: Windows) -> None:
-    """Least-squares part of a model that has one, in closed form on every training transition."""
-    response = getattr(model, "response", None)
+    """The parts of a model that are fitted on every training transition before it is trained on rollouts."""
+    response, arm = getattr(model, "response", None), getattr(model, "arm", None)
+    every = windows.transitions()
     if response is not None:
-        every = windows.transitions()
         response.fit(every.frames, every.actions[:, 0], every.following[:, 0])
+    if arm is not None:
+        arm.fit(every.joints, every.actions[:, 0], every.following_joints[:, 0])
 
 
 def _describe(config: FitConfig, dataset: Dataset) -> dict[str, Any]:
@@ -119,4 +121,5 @@ def scene_bank(task: Task, dataset: Dataset) -> SceneBank:
         dataset.clouds,
         np.stack([e.poses[0] for e in chosen]),
         np.stack([e.goal for e in chosen]),
+        np.stack([e.joints[0] for e in chosen]),
     )

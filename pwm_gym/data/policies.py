@@ -80,8 +80,8 @@ class Practice:
         """Next action (A,)."""
         if self._left == 0:
             self._left = int(self._rng.integers(6, 41))
-            makers = [self._resume, self._waypoint, self._idle, self._random, self._wander]
-            self._segment = makers[self._rng.choice(len(makers), p=[0.3, 0.35, 0.1, 0.1, 0.15])]()
+            makers = [self._resume, self._waypoint, self._pinch, self._idle, self._random, self._wander]
+            self._segment = makers[self._rng.choice(len(makers), p=[0.25, 0.25, 0.2, 0.1, 0.1, 0.1])]()
         self._left -= 1
         action = self._segment(simulator)
         self._gripper = float(action[-1])
@@ -118,6 +118,29 @@ class Practice:
             reach = target[0] - task.arm.tool(poses)[:3]
             step = reach * min(1.0, speed / max(float(np.linalg.norm(reach)), 1e-9))
             return task.arm.action(step, turn, gripper)
+
+        return act
+
+    def _pinch(self) -> Callable[[Simulator], np.ndarray]:
+        """Down on the object with open fingers, off its centre and askew, then shut; half of the time, up again."""
+        rng, task = self._rng, self._task
+        offset, twist = rng.normal(0.0, [0.015, 0.015, 0.008]), rng.normal(0.0, 0.02)
+        speed, lift = rng.uniform(0.015, 0.06), float(rng.choice([0.0, 0.03]))
+        patience, hold = int(rng.integers(10, 25)), int(rng.integers(2, 10))
+        self._left = patience + hold + 10
+
+        def act(simulator: Simulator) -> np.ndarray:
+            nonlocal patience, hold
+            poses = simulator.poses()
+            reach = poses[task.layout.index(task.object), :3] + offset - task.arm.tool(poses)[:3]
+            if patience <= 0 or np.linalg.norm(reach) < 0.006:
+                patience, hold = 0, hold - 1
+                return task.arm.action(np.array([0.0, 0.0, lift * (hold < 0)]), np.zeros(3), -1.0)
+            patience -= 1
+            if np.linalg.norm(reach[:2]) > 0.02:
+                reach = reach + [0.0, 0.0, 0.06]
+            step = reach * min(1.0, speed / max(float(np.linalg.norm(reach)), 1e-9))
+            return task.arm.action(step, np.array([0.0, 0.0, twist]), 1.0)
 
         return act
 
@@ -164,20 +187,21 @@ class OnPolicy:
 
     def __init__(self, task: Task, agent: Agent, clouds: np.ndarray, seed: int, linger: int = 5) -> None:
         self._task, self._agent, self._clouds, self._linger = task, agent, clouds, linger
-        self._poses: deque[np.ndarray] = deque(maxlen=3)  # newest first
+        self._seen: deque[tuple[np.ndarray, np.ndarray]] = deque(maxlen=3)  # poses and joints, newest first
         self._last: np.ndarray | None = None
         agent.reset(seed)
 
     def act(self, simulator: Simulator) -> np.ndarray:
         """Next action (A,)."""
-        poses = simulator.poses()
-        self._poses.appendleft(poses)
+        self._seen.appendleft((simulator.poses(), simulator.joints()[0]))
+        poses, joints = (np.stack([self._seen[min(k, len(self._seen) - 1)][i] for k in range(3)]) for i in range(2))
         scene = Scene(
             self._task.name,
             self._task.layout,
             self._clouds,
-            np.stack([self._poses[min(k, len(self._poses) - 1)] for k in range(3)]),
+            poses,
             simulator.goal(),
+            joints,
             last_action=self._last,
         )
         self._last = self._agent.act(scene).astype(np.float32)

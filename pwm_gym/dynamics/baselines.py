@@ -12,6 +12,7 @@ import torch
 from torch import Tensor, nn
 
 from pwm_gym.dynamics.response import LinearResponse
+from pwm_gym.robots import Control
 from pwm_gym.scene import Layout, RigidState, State
 from pwm_gym.scene.se3 import inverse, make_pose, rotation_from_vector, transform
 
@@ -29,7 +30,7 @@ class BaselineConfig:
     rotation_unit: float = -0.1
     """Radians per unit of rotation."""
     reach: float = 0.025
-    """Metres between the fingers' centre (not yet the tool centre) and the object's within which it is grasped."""
+    """Metres between the tool centre and the object's within which a shut gripper holds it (paper, appendix)."""
     time_step: float = 0.05
     """Seconds per control step."""
 
@@ -41,15 +42,16 @@ class Still(nn.Module):
         self,
         layout: Layout,
         action_size: int,
-        action_vectors: tuple[tuple[int, int], ...] = (),
+        control: Control | None = None,
         config: BaselineConfig | None = None,
     ) -> None:
         super().__init__()
         self.layout, self.action_size, self.config = layout, action_size, config or BaselineConfig()
+        self.control = control or Control()
 
     def prepare(self, state: State) -> State:
         """Entity poses of ``state``."""
-        return state if isinstance(state, RigidState) else RigidState(state.layout, state.clouds, state.history())
+        return RigidState(state.layout, state.clouds, state.history())
 
     def step(self, state: State, action: Tensor) -> State:
         """The same poses again."""
@@ -64,10 +66,10 @@ class LinearBaseline(Still):
         self,
         layout: Layout,
         action_size: int,
-        action_vectors: tuple[tuple[int, int], ...] = (),
+        control: Control | None = None,
         config: BaselineConfig | None = None,
     ) -> None:
-        super().__init__(layout, action_size, action_vectors, config)
+        super().__init__(layout, action_size, control, config)
         self.response = LinearResponse(layout, action_size)
         self._free = [i for i, e in enumerate(layout) if not e.effector]
 
@@ -97,12 +99,20 @@ class LinearBaseline(Still):
         return step, self.response.effector.limit(openings[:, 0] + slide)
 
     def _held(self, state: RigidState, k: int, action: Tensor) -> Tensor:
-        """Whether (B,) entity ``k`` is near the fingers' centre and the gripper is commanded shut."""
-        effector, names = self.response.effector, state.layout.names
-        links = effector.sliding or [effector.root]
-        tool = torch.stack([state.entity(names[i]).mean(1) for i in links]).mean(0)
-        near = (state.entity(names[k]).mean(1) - tool).norm(dim=-1) <= self.config.reach
+        """Whether (B,) entity ``k`` is near the tool centre and the gripper is commanded shut."""
+        names = state.layout.names
+        near = (state.entity(names[k]).mean(1) - self._tool(state)).norm(dim=-1) <= self.config.reach
         return near & (action[:, -1] < 0)
+
+    def _tool(self, state: RigidState) -> Tensor:
+        """Tool centre (B, 3): the arm's own, or the centre of the links that slide."""
+        effector, names = self.response.effector, state.layout.names
+        if self.control.arm is not None:
+            return transform(state.poses()[:, effector.root], state.clouds.new_tensor([self.control.arm.tool])).squeeze(
+                -2
+            )
+        links = effector.sliding or [effector.root]
+        return torch.stack([state.entity(names[i]).mean(1) for i in links]).mean(0)
 
     @staticmethod
     def _stop_at_object(openings: Tensor, before: Tensor, held: dict[int, Tensor]) -> Tensor:

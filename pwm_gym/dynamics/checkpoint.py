@@ -18,12 +18,14 @@ from torch import nn
 from pwm_gym.dynamics.model import WorldModel
 from pwm_gym.dynamics.registry import build_model, config_of
 from pwm_gym.errors import CheckpointError, unknown_name
+from pwm_gym.robots import Control
 from pwm_gym.scene import Layout, Scene
 
 __all__ = ["SCHEMA", "SHIPPED", "Checkpoint", "SceneBank", "load_checkpoint", "resolve", "save_checkpoint"]
 
 SCHEMA = 1
-_KEYS = {"task", "model", "config", "layout", "action_size", "action_vectors"}
+_KEYS = {"task", "model", "config", "layout", "action_size", "control"}
+_BANK = ("clouds", "poses", "goals", "joints")
 SHIPPED = Path(__file__).parent.parent / "checkpoints"
 """Folder of the checkpoints that come with the package, one a task."""
 
@@ -40,6 +42,8 @@ class SceneBank:
     """(M, E, 7) float32."""
     goals: np.ndarray
     """(M, G) float32."""
+    joints: np.ndarray | None = None
+    """(M, J) float32."""
 
     def __len__(self) -> int:
         return len(self.poses)
@@ -47,7 +51,8 @@ class SceneBank:
     def scene(self, index: int) -> Scene:
         """The scene at ``index``, at rest."""
         poses = np.repeat(self.poses[index].astype(np.float64)[None], 3, 0)
-        return Scene(self.task, self.layout, self.clouds, poses, self.goals[index])
+        joints = None if self.joints is None else np.repeat(self.joints[index][None], 3, 0)
+        return Scene(self.task, self.layout, self.clouds, poses, self.goals[index], joints)
 
 
 @dataclass(frozen=True)
@@ -74,13 +79,14 @@ def save_checkpoint(
         "config": config_of(model),
         "layout": model.layout.to_json(),
         "action_size": model.action_size,
-        "action_vectors": list(getattr(model, "action_vectors", ())),
+        "control": model.control.to_json(),
         "training": training,
         "metrics": metrics,
     }
     weights = {k: v.detach().cpu().contiguous() for k, v in model.state_dict().items()}
     save_file(weights, folder / ".model.safetensors")
-    np.savez_compressed(folder / ".scenes.npz", clouds=bank.clouds, poses=bank.poses, goals=bank.goals)
+    arrays = {k: v for k in _BANK if (v := getattr(bank, k)) is not None}
+    np.savez_compressed(folder / ".scenes.npz", **arrays)
     (folder / ".config.json").write_text(json.dumps(description, indent=2))
     for name in ("model.safetensors", "scenes.npz", "config.json"):
         (folder / f".{name}").replace(folder / name)
@@ -113,9 +119,9 @@ def load_checkpoint(folder: str | Path, task: str | None = None, device: str = "
     if task is not None and description["task"] != task:
         raise CheckpointError(f"{folder} is a checkpoint of task {description['task']!r}; expected {task!r}")
     layout = Layout.from_json(description["layout"])
-    vectors = tuple((a, b) for a, b in description["action_vectors"])
+    control = Control.from_json(description["control"])
     with torch.random.fork_rng(devices=[]):  # fresh weights are drawn only to be replaced
-        model = build_model(description["model"], layout, description["action_size"], vectors, description["config"])
+        model = build_model(description["model"], layout, description["action_size"], control, description["config"])
     _load_weights(model, folder / "model.safetensors")
     model.eval().requires_grad_(False)
     bank = _bank(folder / "scenes.npz", description["task"], layout)
@@ -155,7 +161,8 @@ def _load_weights(model: nn.Module, path: Path) -> None:
 def _bank(path: Path, task: str, layout: Layout) -> SceneBank:
     try:
         with np.load(path, allow_pickle=False) as file:
-            return SceneBank(task, layout, file["clouds"], file["poses"], file["goals"])
+            joints = file["joints"] if "joints" in file.files else None
+            return SceneBank(task, layout, file["clouds"], file["poses"], file["goals"], joints)
     except (KeyError, TypeError, ValueError, OSError, EOFError, zipfile.BadZipFile, zlib.error) as error:
         raise CheckpointError(f"{path} is truncated or not a scene bank ({error})") from error
 

@@ -5,29 +5,33 @@ a motion; unlike it, points are pooled to one token an entity and the decoded mo
 drift. Everything is expressed in the end effector's frame together with where the robot's base and the vertical are,
 which makes the model exactly equivariant to turns about the base's vertical axis.
 
-- The root link moves by its linear response (:mod:`pwm_gym.dynamics.response`) plus a learned twist that vanishes at
-  rest without a command; links that slide on it move along their joints, within the joints' limits.
+- Where the arm is known, its joints move by their fitted response (:mod:`pwm_gym.dynamics.arm`) plus a learned
+  correction for contacts, and the root link goes where its kinematics say. Elsewhere the root link moves by its linear
+  response (:mod:`pwm_gym.dynamics.response`) plus a learned twist. Both corrections vanish at rest without a command.
+- Links that slide on the root move along their joints, within the joints' limits.
 - Every other entity moves by ``a * (the end effector's motion) + m * (a learned twist)``, with gates a and m that
   reach 0 and 1 exactly: an untouched object rests and a held one does not slip, for any number of steps.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from pwm_gym.dynamics.arm import ArmResponse
 from pwm_gym.dynamics.response import LinearResponse, twists
+from pwm_gym.robots import Control
 from pwm_gym.scene import Layout, RigidState, State
-from pwm_gym.scene.se3 import make_pose, rotation_from_vector
+from pwm_gym.scene.se3 import make_pose, motion_vector, rotation_from_vector
 
 __all__ = ["CompactConfig", "CompactModel"]
 
 # Scales that bring features to order 1; metres, radians, per step where it is a motion.
 _LENGTH, _NEAR = 0.1, 0.01
-_TRANSLATION, _ROTATION, _OPENING = 0.01, 0.05, 0.005
+_TRANSLATION, _ROTATION, _OPENING, _JOINT = 0.01, 0.05, 0.005, 0.01
 
 
 @dataclass(frozen=True)
@@ -48,6 +52,35 @@ class CompactConfig:
     """Hidden width of a block's MLP over ``width``."""
     registers: int = 1
     """Register tokens (paper, Table "Effect of Register token")."""
+    kinematic: bool = True
+    """Whether a known arm's joints are what moves; otherwise its root link moves freely."""
+    arm_width: int = 128
+    """Channels of the network of the joints' response."""
+
+
+@dataclass(frozen=True)
+class _ArmOutlook:
+    """What is known of a known arm's next step."""
+
+    step: Tensor
+    """Its fitted response (B, J), radians."""
+    features: Tensor
+    """What the root link's token knows of it (B, K)."""
+    stirred: Tensor
+    """0 (B, 1) where it rests without a command, near 1 elsewhere."""
+
+
+@dataclass(frozen=True)
+class _Outlook:
+    """What is known of the end effector's next step before the tokens are decoded."""
+
+    openings: Tensor
+    """Sliding links' openings (B, 3, S)."""
+    slide: Tensor
+    """Their linear response (B, S)."""
+    twist: Tensor
+    """The root link's fitted response (B, 6), world frame."""
+    arm: _ArmOutlook | None = None
 
 
 class CompactModel(nn.Module):
@@ -56,7 +89,7 @@ class CompactModel(nn.Module):
     Args:
         layout: the scene's entities; exactly one effector link without a slider is the root.
         action_size: A.
-        action_vectors: half-open ranges of the action that are vectors in the base's frame.
+        control: what the action's components mean.
         config: hyper-parameters.
     """
 
@@ -64,12 +97,12 @@ class CompactModel(nn.Module):
         self,
         layout: Layout,
         action_size: int,
-        action_vectors: tuple[tuple[int, int], ...] = (),
+        control: Control | None = None,
         config: CompactConfig | None = None,
     ) -> None:
         super().__init__()
         self.layout, self.action_size, self.config = layout, action_size, config or CompactConfig()
-        self.action_vectors = action_vectors
+        self.control = control or Control()
         self.response = LinearResponse(layout, action_size)
         effector = self.response.effector
         self._free = [i for i, e in enumerate(layout) if not e.effector]
@@ -85,47 +118,90 @@ class CompactModel(nn.Module):
         self.head = nn.Linear(c.width, 8)  # attachment, movement, twist
         nn.init.zeros_(self.head.weight)
         nn.init.zeros_(self.head.bias)
+        self.arm: ArmResponse | None = None
+        if c.kinematic and self.control.arm is not None:
+            joints = self.control.arm.joints
+            self.arm = ArmResponse(self.control.arm, c.arm_width)
+            self.arm_token = nn.Linear(self.arm.features + joints, c.width)
+            self.arm_head = nn.Linear(c.width, joints)
+            nn.init.zeros_(self.arm_head.weight)
+            nn.init.zeros_(self.arm_head.bias)
 
-    def prepare(self, state: State) -> State:
-        """Entity poses of ``state``; its points are registered to its canonical clouds where it has none."""
-        return state if isinstance(state, RigidState) else RigidState(state.layout, state.clouds, state.history())
+    def prepare(self, state: State) -> RigidState:
+        """Entity poses of ``state`` and the arm's joint angles, each registered or solved for where it has none."""
+        if not isinstance(state, RigidState):
+            state = RigidState(state.layout, state.clouds, state.history())
+        joints = self.arm.observe(self._roots(state.frames), state.joints) if self.arm is not None else None
+        return replace(state, joints=joints)
 
     def step(self, state: State, action: Tensor) -> RigidState:
         """State (B,) one control step after action (B, A)."""
         assert isinstance(state, RigidState)
-        frames = state.frames  # (B, 3, E, 4, 4)
-        openings = self.response.effector.openings(frames)  # (B, 3, S)
-        base, slide = self.response(frames, openings, action)  # (B, 6), (B, S)
-        decoded = self._decode(state, openings, base, slide, action)  # (B, E, 8)
-        return state.advance(self._move(state, openings[:, 0], base, slide, action, decoded))
+        outlook = self._foresee(state, action)
+        tokens = self._tokens(state, outlook, action)  # (B, E, C)
+        root, joints = self._root(state, outlook, tokens, action)
+        return state.advance(self._move(state, outlook, root, self.head(tokens)), joints)
 
-    def _decode(self, state: RigidState, openings: Tensor, base: Tensor, slide: Tensor, action: Tensor) -> Tensor:
-        """Attention over [entities, action, registers]; (B, E, 8)."""
-        entities = self._entities(state, self._context(state.frames, openings, base, slide))
-        command = self.action(self._turned(action, self._root(state.frames)[:, :3, :3])).unsqueeze(1)
+    def _foresee(self, state: RigidState, action: Tensor) -> _Outlook:
+        openings = self.response.effector.openings(state.frames)
+        twist, slide = self.response(state.frames, openings, action)
+        if self.arm is None:
+            return _Outlook(openings, slide, twist)
+        assert state.joints is not None, "prepare() the state first"
+        now, joints = self._roots(state.frames)[:, 0], state.joints
+        command = self.arm.command(joints[:, 0], action)
+        step = self.arm(joints, command, now)
+        twist = _twist(now, self.arm.kinematics(joints[:, 0] + step))
+        features = torch.cat([self.arm.describe(joints, command, now), step / _JOINT], 1)
+        return _Outlook(openings, slide, twist, _ArmOutlook(step, features, self.arm.stirred(joints, command)))
+
+    def _tokens(self, state: RigidState, outlook: _Outlook, action: Tensor) -> Tensor:
+        """Entity tokens (B, E, C) after attention over [entities, action, registers]."""
+        entities = self._entities(state, self._context(state.frames, outlook))
+        if outlook.arm is not None:
+            place = F.one_hot(torch.tensor(self.response.effector.root), len(self.layout)).to(entities).unsqueeze(-1)
+            entities = entities + place * self.arm_token(outlook.arm.features).unsqueeze(1)
+        command = self.action(self._turned(action, self._roots(state.frames)[:, 0, :3, :3])).unsqueeze(1)
         registers = self.register.expand(len(action), -1, -1)
         tokens = torch.cat([entities, command, registers], 1)  # (B, E + 1 + R, C)
         for block in self.blocks:
             tokens = block(tokens)
-        return self.head(self.norm(tokens[:, : len(self.layout)]))
+        return self.norm(tokens[:, : len(self.layout)])
 
-    def _root(self, frames: Tensor) -> Tensor:
-        return frames[:, 0, self.response.effector.root]
+    def _root(
+        self, state: RigidState, outlook: _Outlook, tokens: Tensor, action: Tensor
+    ) -> tuple[Tensor, Tensor | None]:
+        """Next pose (B, 4, 4) of the root link, and the arm's joint angles (B, J) where it is known."""
+        token = tokens[:, self.response.effector.root]
+        if self.arm is not None and outlook.arm is not None:
+            assert state.joints is not None
+            step = outlook.arm.step + outlook.arm.stirred * _JOINT * self.arm_head(token)
+            joints = self.arm.kinematics.limit(state.joints[:, 0] + step)
+            return self.arm.kinematics(joints), joints
+        roots = self._roots(state.frames)
+        learned = self._world_twists(roots[:, 0], self.head(token)[:, None, 2:]).squeeze(1)
+        twist = outlook.twist + _aliveness(twists(roots), action[:, : self._arm_stop()]) * learned
+        position = self.response.confine(roots[:, 0, :3, 3] + twist[:, :3])
+        return make_pose(rotation_from_vector(twist[:, 3:]) @ roots[:, 0, :3, :3], position), None
+
+    def _roots(self, frames: Tensor) -> Tensor:
+        """Poses (B, 3, 4, 4) of the root link."""
+        return frames[:, :, self.response.effector.root]
 
     def _turned(self, action: Tensor, rotation: Tensor) -> Tensor:
         """Action (B, A) with its vectors in the end effector's frame."""
         parts, start = [], 0
-        for a, b in self.action_vectors:
+        for a, b in self.control.vectors:
             parts += [action[:, start:a], (action[:, None, a:b] @ rotation).squeeze(1)]
             start = b
         return torch.cat([*parts, action[:, start:]], 1)
 
-    def _context(self, frames: Tensor, openings: Tensor, base: Tensor, slide: Tensor) -> Tensor:
+    def _context(self, frames: Tensor, outlook: _Outlook) -> Tensor:
         """What every token knows (B, K): base and vertical as the end effector sees them, and its motion."""
-        root = frames[:, :, self.response.effector.root]
+        root, openings = self._roots(frames), outlook.openings
         turn = root[:, 0, :3, :3].unsqueeze(1)  # row vectors times it are in the end effector's frame
         origin, up = root[:, 0, :3, 3], root[:, 0, 2, :3]
-        motion = torch.cat([twists(root), base.unsqueeze(1)], 1)  # (B, 3, 6): t, t-1 and the linear response
+        motion = torch.cat([twists(root), outlook.twist.unsqueeze(1)], 1)  # (B, 3, 6): t, t-1, fitted t+1
         linear = motion[..., None, :3] @ turn / _TRANSLATION
         angular = motion[..., None, 3:] @ turn / _ROTATION
         speeds = (openings[:, :2] - openings[:, 1:]).flatten(1) / _OPENING
@@ -139,7 +215,7 @@ class CompactModel(nn.Module):
                 angular.flatten(1),
                 openings[:, 0] / _NEAR,
                 speeds,
-                slide / _OPENING,
+                outlook.slide / _OPENING,
             ],
             1,
         )
@@ -162,7 +238,7 @@ class CompactModel(nn.Module):
 
     def _pooled(self, state: RigidState, rotation: Tensor, offset: Tensor) -> Tensor:
         """Largest and mean point features (B, E, 2 P) of each entity, from its pose in the end effector's frame."""
-        clouds, layout, root = state.clouds, state.layout, self._root(state.frames)
+        clouds, layout, root = state.clouds, state.layout, self._roots(state.frames)[:, 0]
         count = min(self.config.points, *(e.points for e in layout))
         canonical = torch.stack([clouds[:, e.start : e.start + count] for e in layout], 1)  # (B, E, k, 3)
         points = canonical @ rotation.transpose(-1, -2) + offset.unsqueeze(-2)
@@ -171,48 +247,41 @@ class CompactModel(nn.Module):
         features = self.point_net(torch.cat([points / _LENGTH, height / _LENGTH, near], -1))
         return torch.cat([features.amax(-2), features.mean(-2)], -1)
 
-    def _move(
-        self,
-        state: RigidState,
-        openings: Tensor,
-        base: Tensor,
-        slide: Tensor,
-        action: Tensor,
-        decoded: Tensor,
-    ) -> Tensor:
-        """Next poses (B, E, 4, 4)."""
-        effector, now = self.response.effector, state.frames[:, 0]
-        learned = self._learned_twists(now, decoded)  # (B, E, 6)
-        alive = _aliveness(twists(state.frames[:, :, effector.root]), action[:, : self._arm_stop()])
-        step = base + alive * learned[:, effector.root]
-        root = self._displace(now[:, effector.root], step)  # (B, 4, 4)
+    def _move(self, state: RigidState, outlook: _Outlook, root: Tensor, decoded: Tensor) -> Tensor:
+        """Next poses (B, E, 4, 4), given the root link's (B, 4, 4) and decoded tokens (B, E, 8)."""
+        effector, now = self.response.effector, state.poses()
+        before = now[:, effector.root]
+        learned = self._world_twists(before, decoded[..., 2:])  # (B, E, 6)
         moved = list(now.unbind(1))
         moved[effector.root] = root
         if effector.sliding:
-            widths = effector.limit(openings + slide + decoded[:, effector.sliding, 2] * _OPENING)
+            slide = outlook.slide + decoded[:, effector.sliding, 2] * _OPENING
+            widths = effector.limit(outlook.openings[:, 0] + slide)
             for k, pose in zip(effector.sliding, effector.links(root, widths).unbind(1), strict=True):
                 moved[k] = pose
+        turn = _twist(before, root)[:, 3:]
         for k in self._free:
             middle = state.clouds[:, state.layout.entities[k].slice].mean(1)  # canonical (B, 3)
             centre = (now[:, k, :3, :3] @ middle.unsqueeze(-1)).squeeze(-1) + now[:, k, :3, 3]
-            carried = _carried(centre, now[:, effector.root], root)
+            carried = torch.cat([_carried(centre, before, root), turn], -1)
             attached, moving = _gate(decoded[:, k, 0:1]), _gate(decoded[:, k, 1:2])
-            twist = attached * torch.cat([carried, step[:, 3:]], -1) + moving * learned[:, k]
-            moved[k] = _turn_about(now[:, k], middle, centre, twist)
+            moved[k] = _turn_about(now[:, k], middle, centre, attached * carried + moving * learned[:, k])
         return torch.stack(moved, 1)
 
-    def _learned_twists(self, now: Tensor, decoded: Tensor) -> Tensor:
-        """World-frame twists (B, E, 6) of the decoded ones, which are in the end effector's frame."""
-        turned = now[:, self.response.effector.root, :3, :3].transpose(-1, -2)
-        return torch.cat([decoded[..., 2:5] @ turned * _TRANSLATION, decoded[..., 5:8] @ turned * _ROTATION], -1)
-
-    def _displace(self, pose: Tensor, step: Tensor) -> Tensor:
-        """Root pose (B, 4, 4) moved by a world-frame twist (B, 6), within the arm's reach."""
-        position = self.response.confine(pose[:, :3, 3] + step[:, :3])
-        return make_pose(rotation_from_vector(step[:, 3:]) @ pose[:, :3, :3], position)
+    @staticmethod
+    def _world_twists(root: Tensor, decoded: Tensor) -> Tensor:
+        """World-frame twists (B, E, 6) of decoded ones (B, E, 6), which are in the frame of the root link (B, 4, 4)."""
+        turned = root[:, :3, :3].transpose(-1, -2)
+        return torch.cat([decoded[..., :3] @ turned * _TRANSLATION, decoded[..., 3:] @ turned * _ROTATION], -1)
 
     def _arm_stop(self) -> int:
-        return max((b for _, b in self.action_vectors), default=self.action_size)
+        return max((b for _, b in self.control.vectors), default=self.action_size)
+
+
+def _twist(before: Tensor, after: Tensor) -> Tensor:
+    """World-frame twist (B, 6) between two poses (B, 4, 4) of a link."""
+    turn = motion_vector(after[:, :3, :3] @ before[:, :3, :3].transpose(-1, -2))
+    return torch.cat([after[:, :3, 3] - before[:, :3, 3], turn], -1)
 
 
 def _carried(point: Tensor, before: Tensor, after: Tensor) -> Tensor:

@@ -13,6 +13,7 @@ from pwm_gym.dynamics.ptv3.layers import MLP
 from pwm_gym.dynamics.ptv3.level import Level
 from pwm_gym.dynamics.ptv3.network import PointTransformer, PTv3Config
 from pwm_gym.dynamics.ptv3.serialization import merge_duplicates
+from pwm_gym.robots import Control
 from pwm_gym.scene import Layout, PointState, State
 
 __all__ = ["PaperConfig", "PaperModel"]
@@ -110,9 +111,11 @@ class PaperModel(nn.Module):
     token.
     """
 
-    def __init__(self, layout: Layout, action_size: int, config: PaperConfig | None = None) -> None:
+    def __init__(
+        self, layout: Layout, action_size: int, control: Control | None = None, config: PaperConfig | None = None
+    ) -> None:
         super().__init__()
-        self.layout = layout
+        self.layout, self.control = layout, control or Control()
         self.action_size = action_size
         self.config = config = config or PaperConfig()
         ids = [i for e in layout if e.effector for i in range(e.start, e.stop)]

@@ -12,11 +12,10 @@ from pwm_gym.dynamics.baselines import BaselineConfig, Commanded, LinearBaseline
 from pwm_gym.dynamics.compact import CompactConfig, CompactModel
 from pwm_gym.dynamics.paper import PaperConfig, PaperModel
 from pwm_gym.errors import CheckpointError, unknown_name
+from pwm_gym.robots import Control
 from pwm_gym.scene import Layout
 
 __all__ = ["MODELS", "ModelKind", "build_model", "model_kind"]
-
-Vectors = tuple[tuple[int, int], ...]
 
 
 @dataclass(frozen=True)
@@ -25,13 +24,13 @@ class ModelKind:
 
     config: type
     """Frozen dataclass of its hyper-parameters."""
-    build: Callable[[Layout, int, Vectors, Any], nn.Module]
-    """Layout, action size, action's vector ranges and config -> model."""
+    build: Callable[[Layout, int, Control, Any], nn.Module]
+    """Layout, action size, meaning of the action and config -> model."""
 
 
 MODELS: dict[str, ModelKind] = {
     "compact": ModelKind(CompactConfig, CompactModel),
-    "paper": ModelKind(PaperConfig, lambda layout, size, _, config: PaperModel(layout, size, config)),
+    "paper": ModelKind(PaperConfig, PaperModel),
     "still": ModelKind(BaselineConfig, Still),
     "commanded": ModelKind(BaselineConfig, Commanded),
     "linear": ModelKind(BaselineConfig, LinearBaseline),
@@ -54,7 +53,7 @@ def build_model(
     name: str,
     layout: Layout,
     action_size: int,
-    action_vectors: Vectors,
+    control: Control,
     config: Mapping[str, Any] | None = None,
 ) -> nn.Module:
     """A fresh model of kind ``name``; ``config`` overrides its defaults (JSON lists become tuples)."""
@@ -65,7 +64,7 @@ def build_model(
         if key not in known:
             raise CheckpointError(str(unknown_name(f"{name} setting", key, known)))
     plain = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
-    return kind.build(layout, action_size, action_vectors, kind.config(**plain))
+    return kind.build(layout, action_size, control, kind.config(**plain))
 
 
 def config_of(model: Any) -> dict[str, Any]:

@@ -26,6 +26,7 @@ from pwm_gym.scene import Layout, RigidState, State
 __all__ = ["Batch", "Batches", "TrainConfig", "rollout_loss", "train"]
 
 _STATE = "training-state.pt"
+_LEVER = 0.5  # metres: how far a joint moves the end effector, per radian
 
 
 @dataclass(frozen=True)
@@ -40,10 +41,14 @@ class Batch:
     """(B, H, A)."""
     following: Tensor
     """True poses (B, H, E, 4, 4) after each action."""
+    joints: Tensor
+    """Robot's joint angles (B, 3, J) at t, t-1, t-2."""
+    following_joints: Tensor
+    """True joint angles (B, H, J) after each action."""
 
     def state(self, layout: Layout) -> RigidState:
         """The state that the window begins with."""
-        return RigidState(layout, self.clouds, self.frames)
+        return RigidState(layout, self.clouds, self.frames, self.joints)
 
 
 class Batches(Protocol):
@@ -57,7 +62,7 @@ class Batches(Protocol):
 class TrainConfig:
     """How to train. The defaults train the compact model; :meth:`paper` gives the paper's table."""
 
-    phases: tuple[tuple[int, int, int], ...] = ((1, 5000, 512), (5, 1200, 256), (15, 500, 192))
+    phases: tuple[tuple[int, int, int], ...] = ((1, 4000, 512), (5, 1200, 256), (15, 500, 192))
     """(horizon H, optimiser steps, batch size), one after the other."""
     learning_rate: float = 1.5e-3
     """AdamW's, at its highest."""
@@ -77,6 +82,8 @@ class TrainConfig:
     """Metres that count as 1 in the loss; the paper's loss is on metres (1.0)."""
     position_weight: float = 0.1
     """Weight of the same loss on positions (0 in the paper: velocities alone)."""
+    joint_weight: float = 0.1
+    """Weight of the same loss on joint angles (times half a metre), for models that move them."""
     object_weight: float = 2.0
     """Weight of the points of entities that the robot does not drive."""
     loss_points: int = 32
@@ -103,6 +110,7 @@ class TrainConfig:
             schedule="step",
             loss_scale=1.0,
             position_weight=0.0,
+            joint_weight=0.0,
             object_weight=1.0,
             loss_points=10**9,
             average=0.0,
@@ -142,13 +150,17 @@ def rollout_loss(model: WorldModel, batch: Batch, config: TrainConfig) -> Tensor
     weight = _point_weights(state.layout, config.object_weight, batch.frames.device)
     terms = []
     points, truth = state.points(), target.points()
-    for action, poses in zip(batch.actions.unbind(1), batch.following.unbind(1), strict=True):
+    truths = (x.unbind(1) for x in (batch.actions, batch.following, batch.following_joints))
+    for action, poses, joints in zip(*truths, strict=True):
         state, target = model.step(state, action), target.advance(poses)
         next_points, next_truth = state.points(), target.points()
         velocity_error = (next_points - points) - (next_truth - truth)
         term = _huber(velocity_error, config, weight)
         if config.position_weight:
             term = term + config.position_weight * _huber(next_points - next_truth, config, weight)
+        if isinstance(state, RigidState) and state.joints is not None and config.joint_weight:
+            angles = state.joints[:, 0]
+            term = term + config.joint_weight * _huber(_LEVER * (angles - joints[:, : angles.shape[1]]), config)
         terms.append(term)
         points, truth = next_points, next_truth
     return torch.stack(terms).mean()
@@ -161,8 +173,8 @@ def _point_weights(layout: Layout, object_weight: float, device: torch.device) -
     return weight / weight.mean()
 
 
-def _huber(error: Tensor, config: TrainConfig, weight: Tensor) -> Tensor:
-    """Weighted mean Huber loss of errors (B, N, 3) in metres."""
+def _huber(error: Tensor, config: TrainConfig, weight: Tensor | float = 1.0) -> Tensor:
+    """Weighted mean Huber loss of errors (B, ...) in metres."""
     scaled = error / config.loss_scale
     zero = torch.zeros_like(scaled)
     return (F.huber_loss(scaled, zero, reduction="none", delta=config.huber_delta) * weight).mean()

@@ -57,13 +57,16 @@ def predict(model: WorldModel, dataset: Dataset, oracle_effector: bool = False) 
     lengths = np.array([len(e) - (OBSERVED - 1) for e in episodes])
     horizon = int(lengths.max())
     frames = torch.stack([_frames(e, horizon) for e in episodes])  # (M, H + 3, E, 4, 4)
+    joints = torch.stack([_joints(e, horizon) for e in episodes])  # (M, H + 3, J)
     actions = torch.stack([_actions(e, horizon) for e in episodes])
     clouds = torch.as_tensor(dataset.clouds)
     chunks = []
     for k in range(0, len(episodes), _CHUNK):
         part = slice(k, k + _CHUNK)
-        start = RigidState(dataset.layout, clouds.expand(len(frames[part]), -1, -1), frames[part, :3].flip(1))
-        chunks.append(_roll(model, start, actions[part], frames[part, 3:] if oracle_effector else None))
+        some = clouds.expand(len(frames[part]), -1, -1)
+        start = RigidState(dataset.layout, some, frames[part, :3].flip(1), joints[part, :3].flip(1))
+        oracle = (frames[part, 3:], joints[part, 3:]) if oracle_effector else None
+        chunks.append(_roll(model, start, actions[part], oracle))
     states = _joined(chunks)
     return Rollouts(episodes, states.poses(), frames[:, 3:], actions, states, lengths)
 
@@ -74,29 +77,38 @@ def _frames(episode: Episode, horizon: int) -> Tensor:
     return matrix_from_pose7(torch.as_tensor(episode.poses[index], dtype=torch.float64)).float()
 
 
+def _joints(episode: Episode, horizon: int) -> Tensor:
+    """True joint angles (H + 3, J), the last ones repeated past the end."""
+    index = np.minimum(np.arange(horizon + OBSERVED), len(episode))
+    return torch.as_tensor(episode.joints[index])
+
+
 def _actions(episode: Episode, horizon: int) -> Tensor:
     index = np.minimum(np.arange(horizon) + OBSERVED - 1, len(episode) - 1)
     return torch.as_tensor(episode.actions[index])
 
 
-def _roll(model: WorldModel, start: RigidState, actions: Tensor, effector: Tensor | None) -> State:
-    """States (B, H); the true ``effector`` poses (B, H, E, 4, 4) overwrite the predicted links after each step."""
+def _roll(model: WorldModel, start: RigidState, actions: Tensor, oracle: tuple[Tensor, Tensor] | None) -> State:
+    """States (B, H); the effector's true poses (B, H, E, 4, 4) and joints (B, H, J) overwrite the predicted ones."""
     links = torch.tensor([e.effector for e in start.layout])
     state: State = model.prepare(start)
     states = []
     for h in range(actions.shape[1]):
         state = model.step(state, actions[:, h])
-        if effector is not None:
-            state = _overwrite(state, effector[:, h], links)
+        if oracle is not None:
+            state = _overwrite(state, oracle[0][:, h], oracle[1][:, h], links)
         states.append(state)
     return stack(states, 1)
 
 
-def _overwrite(state: State, truth: Tensor, links: Tensor) -> State:
+def _overwrite(state: State, truth: Tensor, joints: Tensor, links: Tensor) -> State:
     poses = torch.where(links[:, None, None], truth, state.poses())
     rigid = RigidState(state.layout, state.clouds, torch.cat([poses.unsqueeze(1), state.history()[:, 1:]], 1))
     if isinstance(state, RigidState):
-        return rigid
+        if state.joints is None:
+            return rigid
+        known = joints[:, None, : state.joints.shape[-1]]
+        return replace(rigid, joints=torch.cat([known, state.joints[:, 1:]], 1))
     assert isinstance(state, PointState)
     kept = torch.as_tensor(links.numpy()[state.layout.ids])[:, None]
     points = torch.where(kept, rigid.points(), state.points())
@@ -104,7 +116,7 @@ def _overwrite(state: State, truth: Tensor, links: Tensor) -> State:
 
 
 def _joined(chunks: list[State]) -> State:
-    parts = iter(zip(*((c.clouds, c.frames) for c in chunks), strict=True))
+    parts = iter(zip(*(c.tensors for c in chunks), strict=True))
     return chunks[0].map(lambda _: torch.cat(next(parts)))
 
 

@@ -41,9 +41,9 @@ class Scene:
     goal: np.ndarray
     """(G,) as the task defines it; for PickCube the cube's goal position in metres."""
     joints: np.ndarray | None = None
-    """Robot joint positions (J,), when a simulator or a robot made the scene."""
+    """Robot joint positions (3, J) at t, t-1, t-2, when they are known; some models and a simulator use them."""
     joint_velocities: np.ndarray | None = None
-    """Robot joint velocities (J,) in radians (metres) per second."""
+    """Robot joint velocities (J,) at t in radians (metres) per second; a simulator starts from them."""
     last_action: np.ndarray | None = None
     """The action (A,) that led here, if any: it tells whether the gripper was commanded shut."""
 
@@ -65,9 +65,11 @@ class Scene:
             "poses": (3, len(layout), 7),
             "goal": (goal_size,),
         }
-        for name in ("joints", "joint_velocities"):
-            if getattr(self, name) is not None:
-                shapes[name] = (0 if self.joints is None else len(self.joints),)
+        count = 0 if self.joints is None else np.shape(self.joints)[-1]
+        if self.joints is not None:
+            shapes["joints"] = (3, count)
+        if self.joint_velocities is not None:
+            shapes["joint_velocities"] = (count,)
         for name, shape in shapes.items():
             array = getattr(self, name)
             if not isinstance(array, np.ndarray):
@@ -118,8 +120,12 @@ class Scene:
 
 
 def batch_state(scenes: list[Scene], device: torch.device | str = "cpu") -> RigidState:
-    """State (B,) of scenes that share one layout."""
+    """State (B,) of scenes that share one layout; with joints where all of them have some."""
     clouds = torch.as_tensor(np.stack([s.clouds for s in scenes]), dtype=torch.float32)
     poses = torch.as_tensor(np.stack([s.poses for s in scenes]), dtype=torch.float64)
     frames = matrix_from_pose7(poses).float()  # (B, 3, E, 4, 4)
-    return RigidState(scenes[0].layout, clouds.to(device), frames.to(device))
+    known = [s.joints for s in scenes if s.joints is not None]
+    joints = None
+    if len(known) == len(scenes):
+        joints = torch.as_tensor(np.stack(known), dtype=torch.float32, device=device)
+    return RigidState(scenes[0].layout, clouds.to(device), frames.to(device), joints)

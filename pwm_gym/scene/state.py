@@ -37,6 +37,10 @@ class State(Protocol):
         """The tensor that moves: three steps of it, newest first."""
 
     @property
+    def tensors(self) -> tuple[Tensor, ...]:
+        """Every batched tensor, in the order in which :meth:`map` takes them."""
+
+    @property
     def batch(self) -> torch.Size:
         """Leading dimensions."""
 
@@ -74,6 +78,13 @@ class RigidState:
     """Canonical points (..., N, 3), with the same leading dimensions as the poses (expanded, not copied)."""
     frames: Tensor
     """Poses (..., 3, E, 4, 4) at t, t-1, t-2."""
+    joints: Tensor | None = None
+    """Robot's joint angles (..., 3, J) at t, t-1, t-2, where they are known."""
+
+    @property
+    def tensors(self) -> tuple[Tensor, ...]:
+        """Every batched tensor, in the order in which :meth:`map` takes them."""
+        return (self.clouds, self.frames) if self.joints is None else (self.clouds, self.frames, self.joints)
 
     @property
     def batch(self) -> torch.Size:
@@ -108,22 +119,24 @@ class RigidState:
         """Poses (..., 3, E, 4, 4) of three steps, newest first."""
         return self.frames
 
-    def advance(self, poses: Tensor) -> RigidState:
-        """State one step later, at ``poses`` (..., E, 4, 4)."""
+    def advance(self, poses: Tensor, joints: Tensor | None = None) -> RigidState:
+        """State one step later, at ``poses`` (..., E, 4, 4) and, where they are known, angles ``joints`` (..., J)."""
         frames = torch.cat([poses.unsqueeze(-4), self.frames[..., :2, :, :, :]], -4)
-        return RigidState(self.layout, self.clouds, frames)
+        if joints is not None and self.joints is not None:
+            joints = torch.cat([joints.unsqueeze(-2), self.joints[..., :2, :]], -2)
+        return RigidState(self.layout, self.clouds, frames, joints)
 
     def __getitem__(self, index: Any) -> RigidState:
-        return RigidState(self.layout, self.clouds[index], self.frames[index])
+        return self.map(lambda x: x[index])
 
     def coarsen(self, layout: Layout) -> RigidState:
         """The same poses with the (fewer) points of ``layout``: each entity's first."""
         kept = [f.start + k for f, e in zip(self.layout, layout, strict=True) for k in range(e.points)]
-        return RigidState(layout, self.clouds[..., kept, :], self.frames)
+        return RigidState(layout, self.clouds[..., kept, :], self.frames, self.joints)
 
     def map(self, function: Any) -> RigidState:
         """State with ``function`` applied to each batched tensor."""
-        return RigidState(self.layout, function(self.clouds), function(self.frames))
+        return RigidState(self.layout, *map(function, self.tensors))
 
 
 @dataclass(frozen=True)
@@ -135,6 +148,11 @@ class PointState:
     """Canonical points (..., N, 3)."""
     frames: Tensor
     """Points (..., 3, N, 3) at t, t-1, t-2."""
+
+    @property
+    def tensors(self) -> tuple[Tensor, ...]:
+        """Every batched tensor, in the order in which :meth:`map` takes them."""
+        return self.clouds, self.frames
 
     @classmethod
     def of(cls, state: State) -> PointState:
@@ -190,20 +208,20 @@ class PointState:
         return PointState(self.layout, self.clouds, frames)
 
     def __getitem__(self, index: Any) -> PointState:
-        return PointState(self.layout, self.clouds[index], self.frames[index])
+        return self.map(lambda x: x[index])
 
     def map(self, function: Any) -> PointState:
         """State with ``function`` applied to each batched tensor."""
-        return PointState(self.layout, function(self.clouds), function(self.frames))
+        return PointState(self.layout, *map(function, self.tensors))
 
 
 def stack(states: list[State], dim: int) -> State:
     """States stacked along a new leading dimension ``dim`` (a rollout stacks its steps at 1)."""
     first = states[0]
-    clouds = first.clouds
-    frames = torch.stack([s.frames for s in states], dim)
-    shape = frames.shape[: dim + 1] + clouds.shape[dim:]
-    return type(first)(first.layout, clouds.unsqueeze(dim).expand(shape), frames)  # type: ignore[call-arg]
+    moving = [torch.stack(tensors, dim) for tensors in zip(*(s.tensors[1:] for s in states), strict=True)]
+    shape = moving[0].shape[: dim + 1] + first.clouds.shape[dim:]
+    parts = iter([first.clouds.unsqueeze(dim).expand(shape), *moving])
+    return first.map(lambda _: next(parts))
 
 
 class EntityPoints(Mapping[str, Tensor]):

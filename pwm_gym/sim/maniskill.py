@@ -76,7 +76,7 @@ class ManiSkillSimulator:
         import torch
 
         self._rebuild(0)
-        self._robot.set_qpos(torch.as_tensor(scene.joints, dtype=torch.float32)[None])
+        self._robot.set_qpos(torch.as_tensor(scene.joints[:1], dtype=torch.float32))
         self._robot.set_qvel(torch.as_tensor(scene.joint_velocities, dtype=torch.float32)[None])
         goal = _compose(self._world, np.r_[scene.goal, 1, 0, 0, 0])
         self._goal._objs[0].set_pose(sapien.Pose(goal[:3], goal[3:]))

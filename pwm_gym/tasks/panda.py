@@ -5,14 +5,15 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from pwm_gym.robots import Control, SerialArm
 from pwm_gym.scene import Slider
-from pwm_gym.tasks.registry import ActionFrame, Arm
+from pwm_gym.tasks.registry import Arm
 
 __all__ = [
-    "ACTION_FRAME",
     "ACTION_NAMES",
     "ARM",
     "BODIES",
+    "CONTROL",
     "EFFECTORS",
     "SLIDERS",
     "delta_pose_action",
@@ -31,7 +32,29 @@ _TOOL_OFFSET = 0.1034  # metres along the hand's z axis: the URDF's panda_hand_t
 _POSITION_UNIT = 0.1  # metres per unit of pd_ee_delta_pose
 _ROTATION_UNIT = -0.1  # radians per unit; the controller scales by its lower bound, hence the sign
 ACTION_NAMES = ("dx", "dy", "dz", "rotation x", "rotation y", "rotation z", "gripper")
-ACTION_FRAME = ActionFrame(vectors=((0, 3), (3, 6)))
+_HALF = 0.5**0.5
+_BACK, _FORTH = (_HALF, -_HALF, 0.0, 0.0), (_HALF, _HALF, 0.0, 0.0)  # quarter turns about x
+CONTROL = Control(
+    vectors=((0, 3), (3, 6)),
+    arm=SerialArm(  # the URDF's panda_joint1 to 7 and panda_hand_joint
+        origins=(
+            (0.0, 0.0, 0.333, 1.0, 0.0, 0.0, 0.0),
+            (0.0, 0.0, 0.0, *_BACK),
+            (0.0, -0.316, 0.0, *_FORTH),
+            (0.0825, 0.0, 0.0, *_FORTH),
+            (-0.0825, 0.384, 0.0, *_BACK),
+            (0.0, 0.0, 0.0, *_FORTH),
+            (0.088, 0.0, 0.0, *_FORTH),
+        ),
+        mount=(0.0, 0.0, 0.107, float(np.cos(np.pi / 8)), 0.0, 0.0, -float(np.sin(np.pi / 8))),
+        tool=(0.0, 0.0, _TOOL_OFFSET),
+        lower=(-2.8973, -1.7628, -2.8973, -3.0718, -2.8973, -0.0175, -2.8973),
+        upper=(2.8973, 1.7628, 2.8973, -0.0698, 2.8973, 3.7525, 2.8973),
+        rest=(0.0, np.pi / 8, 0.0, -np.pi * 5 / 8, 0.0, np.pi * 3 / 4, np.pi / 4),
+        position_unit=_POSITION_UNIT,
+        rotation_unit=_ROTATION_UNIT,
+    ),
+)
 
 
 def tool_pose(poses: np.ndarray) -> np.ndarray:

@@ -9,10 +9,11 @@ from typing import Protocol
 import numpy as np
 
 from pwm_gym.errors import unknown_name
+from pwm_gym.robots import Control
 from pwm_gym.scene import Layout
 from pwm_gym.sim import Simulator
 
-__all__ = ["TASKS", "ActionFrame", "Arm", "Expert", "Task", "get_task", "register_task"]
+__all__ = ["TASKS", "Arm", "Expert", "Task", "get_task", "register_task"]
 
 
 class Expert(Protocol):
@@ -20,14 +21,6 @@ class Expert(Protocol):
 
     def act(self, poses: np.ndarray, goal: np.ndarray) -> np.ndarray:
         """Action (A,) in [-1, 1] for entity poses (E, 7) and goal (G,) in the base's frame."""
-
-
-@dataclass(frozen=True)
-class ActionFrame:
-    """Which parts of an action are vectors in the robot base's frame, so that a model can turn them."""
-
-    vectors: tuple[tuple[int, int], ...] = ()
-    """Half-open ranges of three components each."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +43,7 @@ class Task:
     action_size: int
     goal_size: int
     action_names: tuple[str, ...]
-    action_frame: ActionFrame
+    control: Control
     arm: Arm
     object: str
     """Entity that is to be moved."""

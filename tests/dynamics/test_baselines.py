@@ -4,15 +4,16 @@ import torch
 from pwm_gym.dynamics import WorldModel, build_model
 from pwm_gym.dynamics.baselines import BaselineConfig
 from pwm_gym.errors import CheckpointError, UnknownNameError
+from pwm_gym.robots import Control
 from pwm_gym.scene import PointState, RigidState
 from pwm_gym.scene.se3 import make_pose
 
-VECTORS = ((0, 3), (3, 6))
+CONTROL = Control(vectors=((0, 3), (3, 6)))
 SHUT, OPEN = -1.0, 1.0
 
 
 def build(name, layout, **settings):
-    return build_model(name, layout, 7, VECTORS, settings)
+    return build_model(name, layout, 7, CONTROL, settings)
 
 
 def command(gripper, batch=4, x=0.0):
@@ -39,7 +40,7 @@ def test_are_world_models_that_take_points(name, hand_scenes):
     state = hand_scenes(4)
     model = build(name, state.layout)
     assert isinstance(model, WorldModel)
-    assert model.prepare(state) is state
+    assert torch.equal(model.prepare(state).frames, state.frames)
     after = model.step(model.prepare(PointState.of(state)), command(OPEN))
     assert after.points().shape == state.points().shape
 

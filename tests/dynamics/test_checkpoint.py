@@ -15,10 +15,11 @@ from pwm_gym.dynamics import (
 )
 from pwm_gym.dynamics.checkpoint import SCHEMA, SHIPPED, use_device
 from pwm_gym.errors import CheckpointError, UnknownNameError
+from pwm_gym.robots import Control
 from pwm_gym.scene import batch_state
 from pwm_gym.scene.se3 import pose7_from_matrix
 
-VECTORS = ((0, 3), (3, 6))
+CONTROL = Control(vectors=((0, 3), (3, 6)))
 
 
 @pytest.fixture
@@ -31,7 +32,7 @@ def bank(hand_scenes):
 
 def make(bank, kind="compact", **settings):
     torch.manual_seed(0)
-    model = build_model(kind, bank.layout, 7, VECTORS, settings)
+    model = build_model(kind, bank.layout, 7, CONTROL, settings)
     with torch.no_grad():
         for value in model.state_dict().values():
             if value.is_floating_point():
@@ -59,7 +60,7 @@ def test_weights_bank_and_description_survive(folder, bank):
     for name in ("clouds", "poses", "goals"):
         np.testing.assert_array_equal(getattr(loaded.bank, name), getattr(bank, name))
     assert loaded.bank.layout == loaded.model.layout == bank.layout
-    assert (loaded.task, loaded.kind, loaded.model.action_vectors) == ("PickCube", "compact", VECTORS)
+    assert (loaded.task, loaded.kind, loaded.model.control) == ("PickCube", "compact", CONTROL)
     assert loaded.description["training"] == {"steps": 3} and loaded.description["metrics"] == {"error": 0.5}
     assert not loaded.model.training and not any(p.requires_grad for p in loaded.model.parameters())
 

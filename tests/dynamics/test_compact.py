@@ -3,10 +3,11 @@ import torch
 
 from pwm_gym.dynamics import CompactConfig, CompactModel, WorldModel, rollout
 from pwm_gym.dynamics.compact import _gate
+from pwm_gym.robots import Control
 from pwm_gym.scene import PointState, RigidState
 from pwm_gym.scene.se3 import make_pose, rotation_from_vector
 
-VECTORS = ((0, 3), (3, 6))
+CONTROL = Control(vectors=((0, 3), (3, 6)))
 SMALL = CompactConfig(points=24, point_width=16, width=32, blocks=2)
 
 
@@ -28,7 +29,7 @@ def equivariant(response):
 def model_of(layout, config=SMALL, seed=0):
     """A model with random weights in its last layer too, so that all of it moves something."""
     torch.manual_seed(seed)
-    model = CompactModel(layout, 7, VECTORS, config).eval()
+    model = CompactModel(layout, 7, CONTROL, config).eval()
     torch.nn.init.normal_(model.head.weight, std=0.2)
     torch.nn.init.normal_(model.head.bias, std=0.2)
     equivariant(model.response)
@@ -101,7 +102,7 @@ def test_a_scene_does_not_depend_on_its_batch(model, state, action):
 @torch.no_grad()
 def test_an_untrained_model_follows_the_response_and_leaves_the_object_half_attached(state):
     torch.manual_seed(0)
-    model = CompactModel(state.layout, 7, VECTORS, SMALL)
+    model = CompactModel(state.layout, 7, CONTROL, SMALL)
     after = model.step(state, torch.zeros(4, 7))
     torch.testing.assert_close(after.poses()[:, 0], state.poses()[:, 0])  # its response is zero
 
@@ -189,7 +190,7 @@ def test_gradients_reach_the_actions(model, state, action):
 
 
 def test_the_default_is_small(state):
-    count = sum(p.numel() for p in CompactModel(state.layout, 7, VECTORS).parameters())
+    count = sum(p.numel() for p in CompactModel(state.layout, 7, CONTROL).parameters())
     assert 300_000 < count < 1_000_000
 
 
@@ -217,4 +218,4 @@ def test_points_are_registered_to_poses(model, state, action):
     torch.testing.assert_close(
         model.step(prepared, action).poses(), model.step(state, action).poses(), atol=1e-3, rtol=0
     )
-    assert model.prepare(state) is state
+    assert torch.equal(model.prepare(state).frames, state.frames)

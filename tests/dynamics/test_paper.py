@@ -32,7 +32,7 @@ def rng():
 @pytest.fixture
 def model():
     torch.manual_seed(0)
-    model = PaperModel(LAYOUT, 4, SMALL).eval()
+    model = PaperModel(LAYOUT, 4, config=SMALL).eval()
     with torch.no_grad():  # large enough outputs for the comparisons to mean something
         model.head[-1].weight.normal_(std=0.3)
     return model
@@ -153,7 +153,7 @@ def test_place_on_the_table_does_not_matter(model, rng):
 def test_registers_decide_whether_points_attend_to_the_action_alike(rng, registers):
     torch.manual_seed(0)
     config = replace(SMALL, registers=registers, self_layers=0)
-    model = PaperModel(LAYOUT, 4, config).eval()
+    model = PaperModel(LAYOUT, 4, config=config).eval()
     attended = []
     model.conditioning.cross[0].out.register_forward_hook(lambda module, args, out: attended.append(out))
     model(*inputs(rng))
@@ -169,7 +169,7 @@ def test_gradients_reach_every_parameter(model, rng):
 
 def test_learns_one_batch(rng):
     torch.manual_seed(0)
-    model = PaperModel(LAYOUT, 4, replace(SMALL, drop_path=0.0))
+    model = PaperModel(LAYOUT, 4, config=replace(SMALL, drop_path=0.0))
     points, velocity, previous, action = inputs(rng)
     target = 0.01 * (action[:, None, :3] + points.flip(-1) / 0.15)
     optimiser = torch.optim.AdamW(model.parameters(), lr=4e-3)
@@ -185,7 +185,7 @@ def test_learns_one_batch(rng):
 
 def test_trains_through_a_rollout(rng):
     torch.manual_seed(0)
-    model = PaperModel(LAYOUT, 4, SMALL).train()
+    model = PaperModel(LAYOUT, 4, config=SMALL).train()
     points = inputs(rng)[0]
     state = PointState(LAYOUT, points, points.unsqueeze(1).expand(-1, 3, -1, -1))
     final = rollout(model, state, torch.zeros(2, 3, 4)).points()[:, -1]

@@ -12,10 +12,11 @@ from pwm_gym.data import FitConfig, Windows, fit
 from pwm_gym.dynamics import CompactConfig, CompactModel, PaperConfig, PaperModel, build_model, load_checkpoint
 from pwm_gym.dynamics.training import TrainConfig, rollout_loss, train
 from pwm_gym.errors import CheckpointError, DatasetError
+from pwm_gym.robots import Control
 from pwm_gym.tasks import get_task
 
 LAYOUT = get_task("PickCube").layout
-VECTORS = ((0, 3), (3, 6))
+CONTROL = Control(vectors=((0, 3), (3, 6)))
 SETTINGS = {"points": 8, "point_width": 16, "width": 32, "blocks": 1}
 QUICK = TrainConfig(phases=((1, 8, 16), (3, 4, 8)), validate_every=4, threads=1)
 
@@ -28,7 +29,7 @@ def windows(train_split):
 def compact(windows, seed=0):
     batch = windows.transitions()
     torch.manual_seed(seed)
-    model = build_model("compact", LAYOUT, 7, VECTORS, SETTINGS)
+    model = build_model("compact", LAYOUT, 7, CONTROL, SETTINGS)
     model.response.fit(batch.frames, batch.actions[:, 0], batch.following[:, 0])
     return model
 
@@ -65,7 +66,7 @@ def test_the_loss_goes_down(windows, tmp_path):
 
 def test_the_loss_is_the_papers_huber_on_velocities(windows):
     config = TrainConfig.paper()
-    still = build_model("still", LAYOUT, 7, VECTORS)
+    still = build_model("still", LAYOUT, 7, CONTROL)
     batch = windows.sample(torch.Generator().manual_seed(0), 4, 5)
     state = batch.state(still.layout)
     expected = []
@@ -190,7 +191,7 @@ def test_the_papers_model_trains_in_the_same_loop(windows, tmp_path):
         decoder_depths=(1, 1), decoder_channels=(16, 16), decoder_heads=(2, 2), decoder_patches=(64, 16),
         bottleneck_heads=4, mlp_ratio=2, grid_size=0.01,
     )  # fmt: skip
-    model = PaperModel(LAYOUT, 7, small)
+    model = PaperModel(LAYOUT, 7, config=small)
     before = {k: v.clone() for k, v in model.named_parameters()}
     run(model, windows, replace(TrainConfig.paper(1, 2), phases=((2, 1, 2),), threads=1), tmp_path)
     moved = [k for k, v in model.named_parameters() if not torch.equal(v, before[k])]

@@ -1,0 +1,6 @@
+"""What is known of the robots that tasks drive: kinematic chains and the meaning of actions."""
+
+from pwm_gym.robots.control import Control, SerialArm
+from pwm_gym.robots.kinematics import ArmKinematics
+
+__all__ = ["ArmKinematics", "Control", "SerialArm"]

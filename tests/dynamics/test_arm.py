@@ -1,0 +1,93 @@
+import pytest
+import torch
+
+from pwm_gym.data import Windows
+from pwm_gym.dynamics.arm import ArmResponse
+from pwm_gym.dynamics.compact import CompactConfig, CompactModel
+from pwm_gym.scene import batch_state
+from pwm_gym.scene.se3 import make_pose, rotation_from_vector
+from pwm_gym.tasks import get_task
+
+TASK = get_task("PickCube")
+ARM = TASK.control.arm
+SMALL = CompactConfig(points=24, point_width=16, width=32, blocks=2, arm_width=32)
+
+
+@pytest.fixture(scope="module")
+def transitions(train_split):
+    return Windows(train_split).transitions()
+
+
+@pytest.fixture(scope="module")
+def response(transitions):
+    torch.manual_seed(0)
+    arm = ArmResponse(ARM, width=32)
+    arm.fit(transitions.joints, transitions.actions[:, 0], transitions.following_joints[:, 0], steps=200)
+    return arm.requires_grad_(False)
+
+
+def predicted(response, batch):
+    joints = batch.joints[..., :7]
+    command = response.command(joints[:, 0], batch.actions[:, 0])
+    return joints[:, 0] + response(joints, command, response.kinematics(joints[:, 0]))
+
+
+def test_the_fitted_joints_go_where_the_simulators_go(response, transitions):
+    truth = transitions.following_joints[:, 0, :7]
+    moved = (truth - transitions.joints[:, 0, :7]).norm(dim=1)
+    error = (predicted(response, transitions) - truth).norm(dim=1)
+    assert error.mean() < 0.1 * moved.mean()
+
+
+def test_a_command_out_of_reach_leaves_the_arm_where_it_is(response):
+    joints = torch.tensor([ARM.rest])
+    action = torch.zeros(1, 7)
+    action[:, 0] = 1.0
+    assert response.command(joints, action).abs().max() > 0.01
+    stretched = joints.clone()
+    stretched[:, [1, 3, 5]] = torch.tensor([1.2, -0.4, 1.6])  # the tool is 0.85 m away
+    assert torch.equal(response.command(stretched, action), torch.zeros(1, 7))
+
+
+def test_rest_without_a_command_is_rest(response):
+    joints = torch.tensor(ARM.rest).expand(2, 3, 7)
+    command = response.command(joints[:, 0], torch.zeros(2, 7))
+    root = response.kinematics(joints[:, 0])
+    response.net[-1].bias.fill_(0.3)  # whatever the network says
+    step = response(joints, command, root)
+    response.net[-1].bias.zero_()
+    assert step.abs().max() < 1e-5
+
+
+def test_joints_are_solved_for_where_a_scene_does_not_tell_them(response, train_split):
+    scene = train_split.scene(train_split.episodes[0], 8)
+    state = batch_state([scene])
+    known = response.observe(state.frames[:, :, 0], state.joints)
+    assert torch.equal(known, state.joints[..., :7])
+    solved = response.observe(state.frames[:, :, 0], None)
+    roots = response.kinematics(solved)
+    torch.testing.assert_close(roots[..., :3, 3], state.frames[:, :, 0, :3, 3], atol=1e-4, rtol=0)
+    steps = [j[:, :2] - j[:, 1:] for j in (known, solved)]
+    assert (steps[0] - steps[1]).abs().max() < 0.01
+
+
+@torch.no_grad()
+def test_turning_the_scene_about_the_vertical_turns_the_prediction(response, train_split):
+    torch.manual_seed(0)
+    model = CompactModel(TASK.layout, 7, TASK.control, SMALL).eval()
+    for layer in (model.head, model.arm_head, model.arm.net[-1]):
+        torch.nn.init.normal_(layer.weight, std=0.2)
+    model.arm.weight.copy_(response.weight)
+    state = model.prepare(batch_state([train_split.scene(e, 8) for e in train_split.episodes[:4]]))
+    turn = make_pose(rotation_from_vector(torch.tensor([0.0, 0.0, 0.4])), torch.zeros(3))
+    joints = state.joints.clone()
+    joints[..., 0] += 0.4
+    turned = type(state)(state.layout, state.clouds, turn @ state.frames, joints)
+    action = torch.rand(4, 7, generator=torch.Generator().manual_seed(2)) * 0.6 - 0.3
+    action[:, 3:5] = 0.0  # the controller turns about x, then y, then z: not quite a vector
+    vectors = (action[:, :6].view(4, 2, 3) @ turn[:3, :3].T).flatten(1)
+    after = model.step(turned, torch.cat([vectors, action[:, 6:]], 1))
+    plain = model.step(state, action)
+    torch.testing.assert_close(after.poses(), turn @ plain.poses(), atol=2e-5, rtol=0)
+    assert (plain.poses() - state.poses())[:, 0, :3, 3].norm(dim=1).min() > 1e-3
+    torch.testing.assert_close(model.arm.kinematics(plain.joints[:, 0]), plain.poses()[:, 0])
