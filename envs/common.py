@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,7 +12,7 @@ from gymnasium import spaces
 from torch import Tensor
 
 from pwm_gym.costs import Cost, cost_info, get_cost, get_grasp, get_success
-from pwm_gym.errors import PwmGymError, SceneError
+from pwm_gym.errors import PwmGymError, SceneError, unknown_name
 from pwm_gym.scene import Layout, Scene, State
 from pwm_gym.tasks import Task
 
@@ -20,7 +20,9 @@ __all__ = [
     "BOUND",
     "Judgement",
     "Rules",
+    "action_space",
     "check_actions",
+    "check_render_mode",
     "last_action",
     "observation_space",
     "observe",
@@ -30,6 +32,11 @@ __all__ = [
 BOUND = 2.0
 """Metres from the base beyond which a prediction has left the world."""
 _SPEED = 1.0  # metres a step: bound of velocities
+
+
+def action_space(size: int) -> spaces.Box:
+    """Actions (A,) in [-1, 1], float32."""
+    return spaces.Box(-1.0, 1.0, (size,), np.float32)
 
 
 def observation_space(layout: Layout, goal_size: int) -> spaces.Space[Any]:
@@ -86,6 +93,17 @@ def check_actions(actions: Any, shape: tuple[int, ...]) -> Tensor:
         worst = tensor.flatten()[tensor.abs().argmax()]
         raise PwmGymError(f"actions hold {float(worst):.4g}; expected values in [-1, 1]")
     return tensor
+
+
+def check_render_mode(mode: str | None, known: Sequence[str]) -> str | None:
+    """``mode``, one of ``known`` or None.
+
+    Raises:
+        UnknownNameError: listing the known ones.
+    """
+    if mode not in (None, *known):
+        raise unknown_name("render mode", str(mode), known)
+    return mode
 
 
 def last_action(scene: Scene, size: int) -> np.ndarray:

@@ -17,7 +17,9 @@ from pwm_gym.dynamics.checkpoint import load_checkpoint, resolve, use_device
 from pwm_gym.envs.common import (
     Judgement,
     Rules,
+    action_space,
     check_actions,
+    check_render_mode,
     last_action,
     observation_space,
     observe,
@@ -95,9 +97,8 @@ class ModelVectorEnv(EzPickle, gym.vector.VectorEnv[dict[str, np.ndarray], np.nd
         )
         if num_envs < 1:
             raise PwmGymError(f"num_envs={num_envs}; expected at least 1")
-        if render_mode not in (None, *self.metadata["render_modes"]):
-            raise unknown_name("render mode", str(render_mode), self.metadata["render_modes"])
-        self.task, self.num_envs, self.render_mode = get_task(task), num_envs, render_mode
+        self.task, self.num_envs = get_task(task), num_envs
+        self.render_mode = check_render_mode(render_mode, self.metadata["render_modes"])
         self.device, self.max_episode_steps, self._tensors = use_device(device), max_episode_steps, tensors
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
@@ -105,7 +106,7 @@ class ModelVectorEnv(EzPickle, gym.vector.VectorEnv[dict[str, np.ndarray], np.nd
         self.model = self.checkpoint.model
         self.layout = self.task.layout if points is None else self.task.layout.resize(points)
         self.rules = Rules(self.task, cost, grasp)
-        self.single_action_space = gym.spaces.Box(-1.0, 1.0, (self.task.action_size,), np.float32)
+        self.single_action_space = action_space(self.task.action_size)
         self.single_observation_space = observation_space(self.layout, self.task.goal_size)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.observation_space = batch_space(self.single_observation_space, num_envs)

@@ -12,7 +12,16 @@ import torch
 from gymnasium.utils import EzPickle
 from torch import Tensor
 
-from pwm_gym.envs.common import Judgement, Rules, check_actions, last_action, observation_space, observe
+from pwm_gym.envs.common import (
+    Judgement,
+    Rules,
+    action_space,
+    check_actions,
+    check_render_mode,
+    last_action,
+    observation_space,
+    observe,
+)
 from pwm_gym.envs.rendering import SceneRenderer
 from pwm_gym.errors import PwmGymError, unknown_name
 from pwm_gym.scene import Entity, RigidState, Scene, batch_state, resample_clouds, sample_clouds
@@ -73,12 +82,10 @@ class SimEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
         EzPickle.__init__(self, task, cost, grasp, observation, points, render_mode)
         if observation not in _OBSERVATIONS:
             raise unknown_name("observation", observation, _OBSERVATIONS)
-        if render_mode not in (None, *self.metadata["render_modes"]):
-            raise unknown_name("render mode", str(render_mode), self.metadata["render_modes"])
-        self.task, self.render_mode = get_task(task), render_mode
+        self.task, self.render_mode = get_task(task), check_render_mode(render_mode, self.metadata["render_modes"])
         self.layout = self.task.layout if points is None else self.task.layout.resize(points)
         self.rules = Rules(self.task, cost, grasp)
-        self.action_space = gym.spaces.Box(-1.0, 1.0, (self.task.action_size,), np.float32)
+        self.action_space = action_space(self.task.action_size)
         self.observation_space = observation_space(self.layout, self.task.goal_size)
         self.simulator: Simulator = self.task.simulator()
         self._full_clouds = sample_clouds(self.simulator.meshes(), self.task.layout, self.task.cloud_seed)

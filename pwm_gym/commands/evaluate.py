@@ -112,10 +112,14 @@ def _print(task: Task, rows: dict[str, Any], floors: dict[str, Any]) -> None:
             middle = f"{position['60']['median']:5.1f}" if "60" in position else "    -"
             print(
                 f"  {name:16s} {row['chamfer_l1']:8.4f} {row['chamfer_l1_entity_mean']:9.4f} "
-                f"{row['reward_correlation']:6.3f}   {' ' * len(task.object)} {' '.join(cells)}      {middle} "
+                f"{_number(row['reward_correlation'])}   {' ' * len(task.object)} {' '.join(cells)}      {middle} "
                 f"     {position['last']['mean']:5.1f}"
             )
         ceiling = next(iter(rows.values()))[split]["reward_correlation_ceiling"]
-        print(f"  reward correlation on true clouds (ceiling): {ceiling:.3f}")
+        print(f"  reward correlation on true clouds (ceiling): {_number(ceiling)}")
     for name, floor in floors.items():
         print(f"{name} floor: {floor}")
+
+
+def _number(value: float | None) -> str:
+    return "     -" if value is None else f"{value:6.3f}"

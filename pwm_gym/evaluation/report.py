@@ -156,8 +156,8 @@ def _summary(rollouts: Rollouts, scores: _Scores, chosen: np.ndarray) -> dict[st
         "chamfer_l1": trajectory_mean(scores.chamfer),
         "chamfer_l2": trajectory_mean(scores.euclidean),
         "chamfer_l1_entity_mean": trajectory_mean(scores.entity_mean),
-        "reward_correlation": float(np.nanmean(scores.correlation[chosen])),
-        "reward_correlation_ceiling": float(np.nanmean(scores.ceiling[chosen])),
+        "reward_correlation": _finite_mean(scores.correlation[chosen]),
+        "reward_correlation_ceiling": _finite_mean(scores.ceiling[chosen]),
         "reward_without_variance": int(np.isnan(scores.correlation[chosen]).sum()),
         "chamfer_l1_by_step": _by_step(scores.chamfer[chosen]),
         "entities": {},
@@ -168,6 +168,12 @@ def _summary(rollouts: Rollouts, scores: _Scores, chosen: np.ndarray) -> dict[st
             "rotation_deg": _at_steps(rotation_errors(rollouts, i).numpy()[chosen], rollouts.lengths[chosen]),
         }
     return out
+
+
+def _finite_mean(values: np.ndarray) -> float | None:
+    """Mean of what is not NaN; None where nothing is left."""
+    kept = values[~np.isnan(values)]
+    return float(kept.mean()) if len(kept) else None
 
 
 def _by_step(values: np.ndarray) -> dict[str, float]:

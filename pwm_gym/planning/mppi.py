@@ -64,6 +64,11 @@ class MPPI:
             count = len(getattr(config, name))
             if count not in (1, action_size):
                 raise PwmGymError(f"{name} has {count} values; expected 1 or {action_size}")
+        for name in ("horizon", "iterations"):
+            if getattr(config, name) < 1:
+                raise PwmGymError(f"{name}={getattr(config, name)}; expected at least 1")
+        if not config.temperature > 0.0:
+            raise PwmGymError(f"temperature={config.temperature}; expected more than 0")
         if not 1 <= config.elites <= config.samples:
             raise PwmGymError(f"elites={config.elites}; expected 1 to samples={config.samples}")
         self.config, self.action_size = config, action_size

@@ -176,6 +176,9 @@ def test_another_batch_size_forgets_the_last_plan():
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
+        ({"horizon": 0}, "horizon=0; expected at least 1"),
+        ({"iterations": 0}, "iterations=0; expected at least 1"),
+        ({"temperature": 0.0}, "temperature=0.0; expected more than 0"),
         ({"sigma": (0.1, 0.2, 0.3)}, "sigma has 3 values; expected 1 or 2"),
         ({"finest": ()}, "finest has 0 values; expected 1 or 2"),
         ({"correlation": (0.1, 0.2, 0.3)}, "correlation has 3 values; expected 1 or 2"),
