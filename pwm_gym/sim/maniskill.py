@@ -65,19 +65,25 @@ class ManiSkillSimulator:
         self._rebuild(int(seed))
 
     def restore(self, scene: Scene) -> None:
-        """Put robot, objects and goal where ``scene`` says, with the velocities that its poses tell.
+        """Put robot, objects and goal where ``scene`` says, with the velocities that its poses and joints tell.
 
         Raises:
-            SceneError: the scene has no joint positions (it was not made by a simulator or a robot).
+            SceneError: the scene has no joint positions, or those of another robot.
         """
-        if scene.joints is None or scene.joint_velocities is None:
+        if scene.joints is None:
             raise SceneError("scene.joints is None; a simulator starts only from a scene with joint positions")
+        count = self._robot.max_dof
+        if scene.joints.shape[-1] != count:
+            raise SceneError(f"scene.joints has {scene.joints.shape[-1]} joints; the simulator's robot has {count}")
+        speeds = scene.joint_velocities
+        if speeds is None:
+            speeds = (scene.joints[0] - scene.joints[1]) * self._base.control_freq
         import sapien
         import torch
 
         self._rebuild(0)
         self._robot.set_qpos(torch.as_tensor(scene.joints[:1], dtype=torch.float32))
-        self._robot.set_qvel(torch.as_tensor(scene.joint_velocities, dtype=torch.float32)[None])
+        self._robot.set_qvel(torch.as_tensor(speeds, dtype=torch.float32)[None])
         goal = _compose(self._world, np.r_[scene.goal, 1, 0, 0, 0])
         self._goal._objs[0].set_pose(sapien.Pose(goal[:3], goal[3:]))
         for i, name in enumerate(scene.layout.names):

@@ -113,8 +113,8 @@ def test_scene_file_round_trip(env, scene, tmp_path, random_actions):
     scene = env.unwrapped.scene()
     scene.save(tmp_path / "scene.npz")
     again = pwm_gym.Scene.load(tmp_path / "scene.npz")
-    assert (again.task, again.layout, again.joints) == (scene.task, scene.layout, None)
-    for name in ("clouds", "poses", "goal", "last_action"):
+    assert (again.task, again.layout) == (scene.task, scene.layout)
+    for name in ("clouds", "poses", "goal", "joints", "last_action"):
         np.testing.assert_array_equal(getattr(again, name), getattr(scene, name))
     with np.load(tmp_path / "scene.npz", allow_pickle=False) as file:
         assert all(file[k].dtype != object for k in file.files)

@@ -174,7 +174,7 @@ def test_scene_file_round_trip_with_joints(sim, tmp_path, random_actions):
 def test_a_scene_without_joints_is_refused(sim, scene):
     sim.reset(seed=0)
     with pytest.raises(SceneError, match=r"scene\.joints is None"):
-        sim.reset(options={"scene": scene})
+        sim.reset(options={"scene": replace(scene, joints=None)})
 
 
 def test_success_terminates(sim):

@@ -21,7 +21,7 @@ def scene() -> Scene:
         clouds=rng.normal(size=(30, 3)).astype(np.float32),
         poses=poses,
         goal=np.array([0.1, 0.2, 0.3], np.float32),
-        joints=rng.normal(size=9).astype(np.float32),
+        joints=rng.normal(size=(3, 9)).astype(np.float32),
         joint_velocities=np.zeros(9, np.float32),
         last_action=np.ones(7, np.float32),
     )

@@ -126,7 +126,7 @@ def scene_of(simulator, previous):
         clouds=np.zeros((TASK.layout.points, 3), np.float32),
         poses=np.stack([simulator.poses(), previous, previous]),
         goal=simulator.goal(),
-        joints=joints,
+        joints=np.stack([joints] * 3),
         joint_velocities=speeds,
     )
 
@@ -143,7 +143,7 @@ def test_an_episode_goes_on_from_a_restored_scene(simulator):
     simulator.restore(scene)
     np.testing.assert_allclose(simulator.poses()[CUBE], scene.poses[0, CUBE], atol=1e-5)
     np.testing.assert_allclose(simulator.goal(), scene.goal, atol=1e-6)
-    np.testing.assert_array_equal(simulator.joints()[0], scene.joints)
+    np.testing.assert_array_equal(simulator.joints()[0], scene.joints[0])
     replayed = [(simulator.step(a), simulator.poses())[1] for a in actions]
     gap = np.linalg.norm(np.array(truth) - replayed, axis=-1)
     assert gap[..., 0].max() < 0.01 and np.abs(np.array(truth)[..., :3] - np.array(replayed)[..., :3]).max() < 0.01
@@ -167,6 +167,22 @@ def test_a_scene_without_joints_cannot_start_a_simulator(simulator):
     simulator.reset(0)
     with pytest.raises(SceneError, match=r"scene\.joints is None"):
         simulator.restore(replace(scene_of(simulator, simulator.poses()), joints=None))
+
+
+def test_a_scene_of_another_robot_cannot_start_a_simulator(simulator):
+    simulator.reset(0)
+    scene = scene_of(simulator, simulator.poses())
+    with pytest.raises(SceneError, match=r"scene\.joints has 7 joints; the simulator's robot has 9"):
+        simulator.restore(replace(scene, joints=scene.joints[:, :7], joint_velocities=None))
+
+
+def test_joint_velocities_are_told_by_the_joints_of_two_steps(simulator):
+    simulator.reset(4)
+    scene = scene_of(simulator, simulator.poses())
+    joints = scene.joints.copy()
+    joints[1:, 0] -= 0.01  # radians a step
+    simulator.restore(replace(scene, joints=joints, joint_velocities=None))
+    assert simulator.joints()[1][0] == pytest.approx(0.2, abs=1e-5)
 
 
 def test_closing_twice_is_harmless():
