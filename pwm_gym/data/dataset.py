@@ -147,14 +147,15 @@ class Windows:
         """``batch`` windows of ``horizon`` steps."""
         frames, cumulative = self._table(horizon)
         draw = torch.rand(batch, generator=generator, dtype=torch.float64) * cumulative[-1]
-        return self.at(frames[torch.searchsorted(cumulative, draw).clamp_max(len(frames) - 1)], horizon)
+        chosen = frames[torch.searchsorted(cumulative, draw).clamp_max(len(frames) - 1)]
+        return self.at(chosen, horizon, generator)
 
     def transitions(self) -> Batch:
         """Every single step of the data set, as windows of one."""
-        return self.at(torch.nonzero(self._left > 0).squeeze(1), 1)
+        return self.at(torch.nonzero(self._left > 0).squeeze(1), 1, torch.Generator().manual_seed(0))
 
-    def at(self, frames: Tensor, horizon: int) -> Batch:
-        """The windows (B,) that begin at ``frames``."""
+    def at(self, frames: Tensor, horizon: int, generator: torch.Generator) -> Batch:
+        """The windows (B,) that begin at ``frames``; ``generator`` draws what a kind of windows leaves to chance."""
         history = torch.maximum(frames[:, None] - torch.arange(3), self._first[frames][:, None])
         ahead = frames[:, None] + torch.arange(horizon + 1)
         return Batch(

@@ -15,9 +15,11 @@ from torch import nn
 
 from pwm_gym.data.dataset import Dataset, Windows, load_split, read_header
 from pwm_gym.data.episodes import KINDS
+from pwm_gym.data.partial import PartialWindows, visibility
 from pwm_gym.dynamics.checkpoint import SceneBank, save_checkpoint, use_device
 from pwm_gym.dynamics.registry import build_model
 from pwm_gym.dynamics.training import TrainConfig, train
+from pwm_gym.errors import unknown_name
 from pwm_gym.tasks import Task, get_task
 
 __all__ = ["BANK", "FitConfig", "fit", "scene_bank"]
@@ -26,7 +28,8 @@ BANK = 256
 """Initial scenes that a checkpoint carries."""
 _BOOST = 3.0  # windows with pushes, drops and releases are drawn this many times as often
 
-Validate = Callable[[Any, Dataset], dict[str, float]]
+Validate = Callable[[Any, Dataset, Any], dict[str, float]]
+_VIEWS = ("complete", "partial")
 
 
 @dataclass(frozen=True)
@@ -43,6 +46,8 @@ class FitConfig:
     """Registered kind of world model."""
     settings: dict[str, int | float | bool | str] = field(default_factory=dict)
     """Overrides of the kind's hyper-parameters, such as ``width 96 blocks 3``."""
+    view: str = "complete"
+    """"complete" clouds, or "partial": what one ray-cast camera sees, as the paper's baselines get."""
     boost: float = _BOOST
     """How much likelier windows with an object's own motion are drawn."""
 
@@ -53,7 +58,8 @@ def fit(config: FitConfig, training: TrainConfig, validate: Validate, progress: 
     Args:
         config: what to train on what.
         training: how.
-        validate: metrics of a model on a data set (rollouts of validation episodes).
+        validate: metrics of a model on a data set (rollouts of validation episodes), given its visible points, if the
+            view is partial.
         progress: whether to show bars.
 
     Raises:
@@ -63,8 +69,15 @@ def fit(config: FitConfig, training: TrainConfig, validate: Validate, progress: 
     use_device(training.device)
     splits = [load_split(folder, "train", task.name) for folder in config.data]
     dataset = _joined(splits)
-    windows = Windows(dataset, config.boost)
     held_out = load_split(config.data[0], "validation", task.name)
+    seen: dict[str, Any] = {"train": None, "validation": None}
+    if config.view not in _VIEWS:
+        raise unknown_name("view", config.view, _VIEWS)
+    if config.view == "partial":
+        seen = _visible(config, task, {"train": dataset, "validation": held_out})
+    windows = Windows(dataset, config.boost)
+    if seen["train"] is not None:
+        windows = PartialWindows(dataset, seen["train"], boost=config.boost)
     torch.manual_seed(training.seed)
     model = build_model(config.model, task.layout, task.action_size, task.control, config.settings)
     _fit_response(model, windows)
@@ -82,8 +95,16 @@ def fit(config: FitConfig, training: TrainConfig, validate: Validate, progress: 
         description["cpu_minutes_a_process"] = (time.process_time() - cpu) / 60
         save_checkpoint(checkpoint, trained, config.model, bank, description, {"validation": metrics})
 
-    train(model, windows, training, config.out, lambda m: validate(m, held_out), save, progress)
+    train(model, windows, training, config.out, lambda m: validate(m, held_out, seen["validation"]), save, progress)
     return checkpoint
+
+
+def _visible(config: FitConfig, task: Task, splits: dict[str, Dataset]) -> dict[str, Any]:
+    """Visible points of each split, kept beside the (first) data set."""
+    simulator = task.simulator()
+    meshes = simulator.meshes()
+    simulator.close()
+    return {k: visibility(d, meshes, cache=config.data[0] / f"visible-{k}.npz") for k, d in splits.items()}
 
 
 def _joined(splits: list[Dataset]) -> Dataset:
@@ -108,6 +129,7 @@ def _describe(config: FitConfig, dataset: Dataset) -> dict[str, Any]:
         "settings": [read_header(folder)["settings"] for folder in config.data],
         "episodes": dict(zip(KINDS, map(int, kinds), strict=True)),
         "transitions": sum(len(e) for e in dataset.episodes),
+        "view": config.view,
         "source": "ManiSkill 3 simulation (Apache-2.0), scripted expert",
     }
 

@@ -9,20 +9,19 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from pwm_gym.dynamics.pointwise import PointwiseConfig, PointwiseModel, velocity_head
 from pwm_gym.dynamics.ptv3.layers import MLP
 from pwm_gym.dynamics.ptv3.level import Level
 from pwm_gym.dynamics.ptv3.network import PointTransformer, PTv3Config
 from pwm_gym.dynamics.ptv3.serialization import merge_duplicates
 from pwm_gym.robots import Control
-from pwm_gym.scene import Layout, PointState, State
+from pwm_gym.scene import Layout
 
-__all__ = ["PaperConfig", "PaperModel"]
-
-_FEATURES = 9  # position, velocity, previous velocity
+__all__ = ["PaperConfig", "PaperModel", "SmallPaperConfig"]
 
 
 @dataclass(frozen=True)
-class PaperConfig(PTv3Config):
+class PaperConfig(PTv3Config, PointwiseConfig):
     """Hyper-parameters of :class:`PaperModel` beside the backbone's; plain values, which JSON holds."""
 
     registers: int = 1
@@ -36,12 +35,30 @@ class PaperConfig(PTv3Config):
     """Finest cell in metres. Chosen for the paper's 200-400 points at the bottleneck: with 300 points each on
     the Panda's hand, its fingers and a 4 cm cube nearby (ManiSkill's meshes, 20 random scenes), two poolings
     leave 300-324; 4 mm leaves about 250, 5 mm about 170."""
-    position_scale: float = 0.1
-    """Metres that the network sees as 1."""
-    velocity_scale: float = 0.01
-    """Metres a step that the network sees, and gives, as 1."""
     bf16: bool = False
     """Run the network in bfloat16 (autocast)."""
+
+
+@dataclass(frozen=True)
+class SmallPaperConfig(PaperConfig):
+    """The paper's architecture at a size that two CPU cores train in about an hour: same parts, fewer of each."""
+
+    points: int = 64
+    rigid: bool = True
+    encoder_depths: tuple[int, ...] = (1, 1, 1)
+    encoder_channels: tuple[int, ...] = (32, 64, 128)
+    encoder_heads: tuple[int, ...] = (4, 4, 4)
+    encoder_patches: tuple[int, ...] = (64, 48, 64)
+    decoder_depths: tuple[int, ...] = (1, 1)
+    decoder_channels: tuple[int, ...] = (64, 64)
+    decoder_heads: tuple[int, ...] = (4, 4)
+    decoder_patches: tuple[int, ...] = (64, 48)
+    bottleneck_heads: int = 4
+    cross_layers: int = 2
+    self_layers: int = 2
+    mlp_ratio: int = 2
+    drop_path: float = 0.1
+    grid_size: float = 0.01
 
 
 class _Attention(nn.Module):
@@ -102,75 +119,30 @@ class _Conditioning(nn.Module):
         return dense[level.batch, rank]
 
 
-class PaperModel(nn.Module):
-    """The paper's world model: per-point velocities of the next step from [x_t, v_t, v_{t-1}] and an action.
+class PaperModel(PointwiseModel):
+    """The paper's world model: a Point Transformer V3 between points and velocities, actions at its bottleneck.
 
-    The network sees distances to the mean of the end effectors' points, except that the height feature stays
-    that of the robot base's frame: table and gravity depend on it. The grid is centred at the same mean, so
-    that motion over the table does not change the order of the points. Points with equal features are one
-    token.
+    The grid is centred at the mean of the end effectors' points, so that motion over the table does not change the
+    order of the points. Points with equal features are one token.
     """
 
     def __init__(
         self, layout: Layout, action_size: int, control: Control | None = None, config: PaperConfig | None = None
     ) -> None:
-        super().__init__()
-        self.layout, self.control = layout, control or Control()
-        self.action_size = action_size
-        self.config = config = config or PaperConfig()
-        ids = [i for e in layout if e.effector for i in range(e.start, e.stop)]
-        self.effectors: Tensor
-        self.register_buffer("effectors", torch.tensor(ids or list(range(layout.points))), persistent=False)
-        self.backbone = PointTransformer(_FEATURES, config)
+        config = config or PaperConfig()
+        super().__init__(layout, action_size, control, config)
+        self.backbone = PointTransformer(self.channels, config)
         self.conditioning = _Conditioning(config.encoder_channels[-1], action_size, config)
-        self.head = _head(config.decoder_channels[0], config.head_layers)
+        self.head = velocity_head(config.decoder_channels[0], config.head_layers)
 
-    def prepare(self, state: State) -> PointState:
-        """The state as points."""
-        return PointState.of(state)
-
-    def step(self, state: State, action: Tensor) -> PointState:
-        """State (B,) one control step after ``action`` (B, A) in [-1, 1]."""
-        now = self.prepare(state)
-        points = now.points()
-        return now.advance(points + self(points, now.velocity(), now.previous_velocity(), action))
-
-    def forward(self, points: Tensor, velocity: Tensor, previous_velocity: Tensor, action: Tensor) -> Tensor:
-        """Velocities of the next step (B, N, 3) in metres a step.
-
-        Args:
-            points: x_t (B, N, 3) in metres.
-            velocity: v_t (B, N, 3) in metres a step.
-            previous_velocity: v_{t-1} (B, N, 3).
-            action: a_t (B, A) in [-1, 1].
-        """
-        centred = self._centre(points)
-        config = self.config
-        position = torch.cat([centred[..., :2], points[..., 2:]], -1) / config.position_scale
-        motion = torch.cat([velocity, previous_velocity], -1) / config.velocity_scale
-        rows = torch.cat([position, motion], -1)  # (B, N, 9)
+    def network(self, rows: Tensor, positions: Tensor, action: Tensor) -> Tensor:
+        """Scaled velocities (B, N, 3) of features (B, N, C), points (B, N, 3) and actions (B, A)."""
         token, place = merge_duplicates(rows.detach())
-        batch = token.div(points.shape[1], rounding_mode="floor")
-        level = self.backbone.level(centred.flatten(0, 1)[token], batch, len(points), config.grid_size)
-        autocast = torch.autocast(points.device.type, torch.bfloat16) if config.bf16 else nullcontext()
+        batch = token.div(rows.shape[1], rounding_mode="floor")
+        level = self.backbone.level(positions.flatten(0, 1)[token], batch, len(rows), self.config.grid_size)
+        autocast = torch.autocast(rows.device.type, torch.bfloat16) if self.config.bf16 else nullcontext()
         with autocast:
             encoded = self.backbone.encode(level, rows.flatten(0, 1).index_select(0, token))
             latents = self.conditioning(encoded.features[-1], encoded.levels[-1], action)
             moved = self.head(self.backbone.decode(encoded, latents))  # (T, 3)
-        moved = moved.to(points.dtype).index_select(0, place)  # (B * N, 3)
-        return moved.view_as(points) * config.velocity_scale
-
-    def _centre(self, points: Tensor) -> Tensor:
-        """``points`` (B, N, 3) as seen from the mean of the end effectors' points."""
-        # In float64 the mean does not depend on the order of the points, and so neither do their cells.
-        mean = points[:, self.effectors].double().mean(1, keepdim=True)
-        return points - mean.to(points.dtype)
-
-
-def _head(size: int, layers: int) -> nn.Sequential:
-    """Layer norm and an MLP (..., size) to (..., 3); its first outputs are small: untrained, little moves."""
-    hidden = [m for _ in range(layers - 1) for m in (nn.Linear(size, size), nn.GELU())]
-    last = nn.Linear(size, 3)
-    nn.init.normal_(last.weight, std=1e-2)
-    nn.init.zeros_(last.bias)
-    return nn.Sequential(nn.LayerNorm(size), *hidden, last)
+        return moved.to(rows.dtype).index_select(0, place).view_as(positions)

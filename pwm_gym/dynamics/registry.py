@@ -10,7 +10,9 @@ from torch import nn
 
 from pwm_gym.dynamics.baselines import BaselineConfig, Commanded, LinearBaseline, Still
 from pwm_gym.dynamics.compact import CompactConfig, CompactModel
-from pwm_gym.dynamics.paper import PaperConfig, PaperModel
+from pwm_gym.dynamics.graph import GraphConfig, GraphModel
+from pwm_gym.dynamics.paper import PaperConfig, PaperModel, SmallPaperConfig
+from pwm_gym.dynamics.particleformer import ParticleFormer, ParticleFormerConfig
 from pwm_gym.errors import CheckpointError, unknown_name
 from pwm_gym.robots import Control
 from pwm_gym.scene import Layout
@@ -31,6 +33,9 @@ class ModelKind:
 MODELS: dict[str, ModelKind] = {
     "compact": ModelKind(CompactConfig, CompactModel),
     "paper": ModelKind(PaperConfig, PaperModel),
+    "paper-small": ModelKind(SmallPaperConfig, PaperModel),
+    "particleformer": ModelKind(ParticleFormerConfig, ParticleFormer),
+    "gbnd": ModelKind(GraphConfig, GraphModel),
     "still": ModelKind(BaselineConfig, Still),
     "commanded": ModelKind(BaselineConfig, Commanded),
     "linear": ModelKind(BaselineConfig, LinearBaseline),

@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -20,12 +20,13 @@ from torch.nn import functional as F
 from tqdm import tqdm
 
 from pwm_gym.dynamics.model import WorldModel
-from pwm_gym.errors import CheckpointError
+from pwm_gym.errors import CheckpointError, unknown_name
 from pwm_gym.scene import Layout, RigidState, State
 
 __all__ = ["Batch", "Batches", "TrainConfig", "rollout_loss", "train"]
 
 _STATE = "training-state.pt"
+_LOSSES = ("huber", "hybrid")
 _LEVER = 0.5  # metres: how far a joint moves the end effector, per radian
 
 
@@ -45,9 +46,19 @@ class Batch:
     """Robot's joint angles (B, 3, J) at t, t-1, t-2."""
     following_joints: Tensor
     """True joint angles (B, H, J) after each action."""
+    observed: Tensor | None = None
+    """What a camera sees after each action (B, H, n, 3), without correspondences."""
+
+    def to(self, device: str) -> Batch:
+        """The same windows on ``device``."""
+        values: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(self)}
+        moved: dict[str, Any] = {name: None if x is None else x.to(device) for name, x in values.items()}
+        return Batch(**moved)
 
     def state(self, layout: Layout) -> RigidState:
         """The state that the window begins with."""
+        if self.clouds.shape[1] != layout.points:  # a camera's, with as many points of each entity
+            layout = layout.truncate(self.clouds.shape[1] // len(layout))
         return RigidState(layout, self.clouds, self.frames, self.joints)
 
 
@@ -76,6 +87,9 @@ class TrainConfig:
     """StepLR: factor of a drop."""
     epoch_steps: int = 1000
     """Optimiser steps that StepLR counts as one epoch."""
+    loss: str = "huber"
+    """"huber" on each point's motion, or "hybrid": Chamfer plus Hausdorff distance to what a camera sees, without
+    correspondences (ParticleFormer's; their weights are not stated, and equal here)."""
     huber_delta: float = 0.25
     """Huber's delta, in units of ``loss_scale`` metres."""
     loss_scale: float = 0.002
@@ -145,15 +159,20 @@ def rollout_loss(model: WorldModel, batch: Batch, config: TrainConfig) -> Tensor
     """Mean Huber loss over H predicted steps, on per-point velocities (and positions), in ``loss_scale`` units."""
     state: State = model.prepare(batch.state(model.layout))
     if isinstance(state, RigidState):
-        state = state.coarsen(model.layout.truncate(config.loss_points))
+        read = max(config.loss_points, getattr(getattr(model, "config", None), "points", 0))
+        state = state.coarsen(state.layout.truncate(read))
     target = RigidState(state.layout, state.clouds, batch.frames)
     weight = _point_weights(state.layout, config.object_weight, batch.frames.device)
-    terms = []
+    terms: list[Tensor] = []
     points, truth = state.points(), target.points()
     truths = (x.unbind(1) for x in (batch.actions, batch.following, batch.following_joints))
     for action, poses, joints in zip(*truths, strict=True):
         state, target = model.step(state, action), target.advance(poses)
         next_points, next_truth = state.points(), target.points()
+        if config.loss == "hybrid":
+            seen = next_truth if batch.observed is None else batch.observed[:, len(terms)]
+            terms.append(_hybrid(next_points, seen) / config.loss_scale)
+            continue
         velocity_error = (next_points - points) - (next_truth - truth)
         term = _huber(velocity_error, config, weight)
         if config.position_weight:
@@ -171,6 +190,14 @@ def _point_weights(layout: Layout, object_weight: float, device: torch.device) -
     driven = torch.tensor([e.effector for e in layout.entities], device=device)[torch.as_tensor(layout.ids)]
     weight = torch.where(driven, 1.0, object_weight).unsqueeze(-1)
     return weight / weight.mean()
+
+
+def _hybrid(predicted: Tensor, observed: Tensor) -> Tensor:
+    """Symmetric Chamfer plus Hausdorff distance, metres, of clouds (B, n, 3) and (B, m, 3); mean of the batch."""
+    gaps = torch.cdist(predicted, observed)
+    there, back = gaps.amin(2), gaps.amin(1)
+    chamfer = 0.5 * (there.mean(1) + back.mean(1))
+    return (chamfer + torch.maximum(there.amax(1), back.amax(1))).mean()
 
 
 def _huber(error: Tensor, config: TrainConfig, weight: Tensor | float = 1.0) -> Tensor:
@@ -225,6 +252,8 @@ class _Run:
         self.leads = self.rank == 0
         if self.world > 1 and not dist.is_initialized():
             dist.init_process_group("nccl" if config.device.startswith("cuda") else "gloo")
+        if config.loss not in _LOSSES:
+            raise unknown_name("loss", config.loss, _LOSSES)
         self.loss: nn.Module = _RolloutLoss(model, config)
         if self.world > 1:
             self.loss = nn.parallel.DistributedDataParallel(self.loss)
@@ -256,7 +285,7 @@ class _Run:
         horizon, size = self.config.phase(self.step)
         generator = torch.Generator().manual_seed((self.config.seed * 1_000_003 + self.step) * 1_009 + self.rank)
         batch = batches.sample(generator, max(1, size // self.world), horizon)
-        batch = Batch(*(getattr(batch, f).to(self.config.device) for f in batch.__dataclass_fields__))
+        batch = batch.to(self.config.device)
         for group in self.optimizer.param_groups:
             group["lr"] = self._learning_rate()
         self.model.train()

@@ -53,6 +53,7 @@ def evaluate_rollouts(
     oracle: bool = False,
     every: int = 1,
     progress: bool = True,
+    seen: np.ndarray | None = None,
 ) -> dict[str, Any]:
     """Metrics of ``model`` for each of :data:`SPLITS` that ``dataset`` has.
 
@@ -63,8 +64,10 @@ def evaluate_rollouts(
         oracle: whether the true end effector replaces the predicted one after each step.
         every: Chamfer distances are measured at each ``every``-th step.
         progress: whether to show a bar.
+        seen: visible points (F, N) of each frame, for a model of partial clouds; it is scored against the complete
+            truth.
     """
-    rollouts = predict(model, dataset, oracle_effector=oracle)
+    rollouts = predict(model, dataset, oracle_effector=oracle, seen=seen)
     scores = _score(rollouts, task, every, progress)
     kinds = np.array([KINDS[e.kind] for e in rollouts.episodes])
     table = {}
@@ -96,8 +99,9 @@ def _true_states(rollouts: Rollouts, part: slice) -> RigidState:
     before = torch.cat([truth[:, :1], truth[:, :-1]], 1)
     earlier = torch.cat([before[:, :1], before[:, :-1]], 1)
     frames = torch.stack([truth, before, earlier], 2)
-    states = rollouts.states[part]
-    return RigidState(states.layout, states.clouds, frames)
+    dataset = rollouts.dataset
+    clouds = torch.as_tensor(dataset.clouds).expand(*frames.shape[:2], -1, -1)
+    return RigidState(dataset.layout, clouds, frames)
 
 
 def _fill_distances(
@@ -105,13 +109,13 @@ def _fill_distances(
 ) -> None:
     """Chamfer L1, Euclidean and entity-mean L1 at ``places``, into ``out`` (3, M, H)."""
     a, b = predicted.points().numpy(), truth.points().numpy()
-    slices = [e.slice for e in truth.layout]
+    slices = [(e.slice, f.slice) for e, f in zip(predicted.layout, truth.layout, strict=True)]
 
     def one(index: tuple[int, int]) -> tuple[float, float, float]:
         p, q = a[index], b[index]
         if not np.isfinite(p).all():
             return np.inf, np.inf, np.inf
-        parts = [chamfer(p[s], q[s]) for s in slices]
+        parts = [chamfer(p[s], q[t]) for s, t in slices]
         return chamfer(p, q), chamfer(p, q, order=2), float(np.mean(parts))
 
     for (m, h), values in zip(places, each(one, places), strict=True):

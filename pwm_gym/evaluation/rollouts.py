@@ -10,9 +10,10 @@ import torch
 from torch import Tensor
 
 from pwm_gym.data.dataset import Dataset
-from pwm_gym.data.episodes import Episode
+from pwm_gym.data.episodes import KINDS, Episode
+from pwm_gym.data.partial import PARTIAL_POINTS, choose_visible
 from pwm_gym.dynamics.model import WorldModel
-from pwm_gym.scene import PointState, RigidState, State, batch_state, stack
+from pwm_gym.scene import Layout, PointState, RigidState, State, batch_state, stack
 from pwm_gym.scene.se3 import matrix_from_pose7, rotation_angle
 
 __all__ = ["OBSERVED", "Rollouts", "long_rollouts", "predict", "validation_metrics"]
@@ -26,6 +27,8 @@ _CHUNK = 128  # episodes rolled out at once
 class Rollouts:
     """Predictions for a list of episodes, padded to the longest."""
 
+    dataset: Dataset
+    """Where the episodes are from."""
     episodes: tuple[Episode, ...]
     poses: Tensor
     """Predicted poses (M, H, E, 4, 4)."""
@@ -34,7 +37,7 @@ class Rollouts:
     actions: Tensor
     """(M, H, A)."""
     states: State
-    """Predicted states (M, H)."""
+    """Predicted states (M, H); their points may be fewer than the data set's."""
     lengths: np.ndarray
     """Predicted steps of each episode (M,)."""
 
@@ -45,13 +48,17 @@ class Rollouts:
 
 
 @torch.no_grad()
-def predict(model: WorldModel, dataset: Dataset, oracle_effector: bool = False) -> Rollouts:
+def predict(
+    model: WorldModel, dataset: Dataset, oracle_effector: bool = False, seen: np.ndarray | None = None
+) -> Rollouts:
     """Roll ``model`` out under the actions of each episode of ``dataset``.
 
     Args:
         model: world model on the CPU.
         dataset: episodes of one split.
         oracle_effector: whether the true end effector replaces the predicted one after each step.
+        seen: points (F, N) of each frame that a camera sees (:func:`pwm_gym.data.visibility`), for a model of partial
+            clouds: it gets those of the third observed frame.
     """
     episodes = tuple(e for e in dataset.episodes if len(e) > OBSERVED - 1)
     lengths = np.array([len(e) - (OBSERVED - 1) for e in episodes])
@@ -59,16 +66,33 @@ def predict(model: WorldModel, dataset: Dataset, oracle_effector: bool = False) 
     frames = torch.stack([_frames(e, horizon) for e in episodes])  # (M, H + 3, E, 4, 4)
     joints = torch.stack([_joints(e, horizon) for e in episodes])  # (M, H + 3, J)
     actions = torch.stack([_actions(e, horizon) for e in episodes])
-    clouds = torch.as_tensor(dataset.clouds)
+    layout, clouds = _starting_clouds(dataset, seen)
     chunks = []
     for k in range(0, len(episodes), _CHUNK):
         part = slice(k, k + _CHUNK)
-        some = clouds.expand(len(frames[part]), -1, -1)
-        start = RigidState(dataset.layout, some, frames[part, :3].flip(1), joints[part, :3].flip(1))
+        start = RigidState(layout, clouds[part], frames[part, :3].flip(1), joints[part, :3].flip(1))
         oracle = (frames[part, 3:], joints[part, 3:]) if oracle_effector else None
         chunks.append(_roll(model, start, actions[part], oracle))
     states = _joined(chunks)
-    return Rollouts(episodes, states.poses(), frames[:, 3:], actions, states, lengths)
+    return Rollouts(dataset, episodes, states.poses(), frames[:, 3:], actions, states, lengths)
+
+
+def _starting_clouds(dataset: Dataset, seen: np.ndarray | None) -> tuple[Layout, Tensor]:
+    """Canonical points (M, n, 3) that each predicted episode starts with, and their layout."""
+    lengths = np.array([len(e) for e in dataset.episodes])
+    long = lengths > OBSERVED - 1
+    clouds = torch.as_tensor(dataset.clouds)
+    if seen is None:
+        return dataset.layout, clouds.expand(int(long.sum()), -1, -1)
+    third = (np.cumsum(lengths + 1) - lengths - 1 + OBSERVED - 1)[long]
+    layout = dataset.layout.truncate(PARTIAL_POINTS)
+    generator = torch.Generator().manual_seed(0)
+    visible = torch.as_tensor(seen[third])
+    parts = [
+        clouds[full.start + choose_visible(visible[:, full.slice], e.points, generator)]
+        for full, e in zip(dataset.layout, layout, strict=True)
+    ]
+    return layout, torch.cat(parts, 1)
 
 
 def _frames(episode: Episode, horizon: int) -> Tensor:
@@ -160,15 +184,17 @@ def long_rollouts(model: WorldModel, dataset: Dataset, steps: int = 300, seed: i
     return {"steps": steps, "zero_actions_mm": gaps, "random_actions_m": far, "finite": finite}
 
 
-def validation_metrics(model: WorldModel, dataset: Dataset) -> dict[str, float]:
-    """Cheap metrics for training: mean position errors of hand and objects, in millimetres, over whole rollouts."""
+def validation_metrics(model: WorldModel, dataset: Dataset, seen: np.ndarray | None = None) -> dict[str, float]:
+    """Cheap metrics for training: mean position errors of hand and objects, in millimetres, over whole rollouts.
+
+    ``seen`` tells a model of partial clouds which points a camera sees (:func:`predict`).
+    """
     out = {}
-    for name, kinds in (("demonstration", ("expert", "randomised")), ("practice", ("practice",))):
-        part = dataset.of_kinds(kinds)
-        if not part.episodes:
-            continue
-        rollouts = predict(model, part)
+    rollouts = predict(model, dataset, seen=seen)
+    kinds = np.array([KINDS[e.kind] for e in rollouts.episodes])
+    for name, wanted in (("demonstration", ("expert", "randomised")), ("practice", ("practice",))):
+        chosen = torch.as_tensor(np.isin(kinds, wanted))
         for i, entity in enumerate(dataset.layout):
-            if entity.slider is None:
-                out[f"{name}_{entity.name}_mm"] = float(position_errors(rollouts, i).nanmean()) * 1e3
+            if entity.slider is None and chosen.any():
+                out[f"{name}_{entity.name}_mm"] = float(position_errors(rollouts, i)[chosen].nanmean()) * 1e3
     return out

@@ -1,7 +1,7 @@
 """A depth and segmentation camera by ray casting (Embree): the same for every simulator, without a GPU.
 
-Each entity has one bounding volume hierarchy in its own frame, built once; rays are moved into that frame. Ray directions
-are not normalised, so that hit distances are depths.
+Each entity has one bounding volume hierarchy in its own frame, built once; rays are moved into that frame. Ray
+directions are not normalised, so that hit distances are depths.
 """
 
 from __future__ import annotations

@@ -29,7 +29,7 @@ def frames_of(dataset):
 
 
 def test_the_episodes_start_repeats_its_first_pose(train_split, windows):
-    batch = windows.at(torch.tensor([0, 1, 2]), 1)
+    batch = windows.at(torch.tensor([0, 1, 2]), 1, torch.Generator())
     poses, _ = frames_of(train_split)
     torch.testing.assert_close(batch.frames[0], poses[[0, 0, 0]])
     torch.testing.assert_close(batch.frames[1], poses[[1, 0, 0]])
@@ -40,7 +40,7 @@ def test_a_later_episodes_start_knows_nothing_of_the_one_before(train_split, win
     first = len(train_split.episodes[0]) + 1
     poses, owner = frames_of(train_split)
     assert owner[first] == 1
-    torch.testing.assert_close(windows.at(torch.tensor([first]), 1).frames[0], poses[[first] * 3])
+    torch.testing.assert_close(windows.at(torch.tensor([first]), 1, torch.Generator()).frames[0], poses[[first] * 3])
 
 
 @pytest.mark.parametrize("horizon", [1, HORIZON])

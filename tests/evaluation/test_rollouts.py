@@ -9,6 +9,7 @@ from pwm_gym.dynamics import build_model
 from pwm_gym.evaluation import evaluate_rollouts, long_rollouts, predict, validation_metrics
 from pwm_gym.evaluation.floors import chaos_floor, sampling_floor
 from pwm_gym.evaluation.rollouts import OBSERVED, position_errors, rotation_errors
+from pwm_gym.robots import Control
 from pwm_gym.scene import PointState, RigidState, resample_clouds, sample_clouds
 from pwm_gym.scene.se3 import matrix_from_pose7
 from pwm_gym.tasks import get_task
@@ -138,15 +139,15 @@ def test_a_model_that_blows_up_is_counted_not_hidden(dataset):
 
 
 def test_validation_metrics_name_kinds_and_entities(dataset):
-    metrics = validation_metrics(build_model("still", dataset.layout, 7, ()), dataset)
+    metrics = validation_metrics(build_model("still", dataset.layout, 7, Control()), dataset)
     assert set(metrics) == {f"{k}_{e}_mm" for k in ("demonstration", "practice") for e in ("hand", "cube")}
-    rollouts = predict(build_model("still", dataset.layout, 7, ()), dataset.of_kinds(("practice",)))
+    rollouts = predict(build_model("still", dataset.layout, 7, Control()), dataset.of_kinds(("practice",)))
     expected = 1e3 * position_errors(rollouts, HAND).nanmean().item()
     assert metrics["practice_hand_mm"] == pytest.approx(expected) and expected > 10
 
 
 def test_long_rollouts_of_a_still_world(dataset):
-    out = long_rollouts(build_model("still", dataset.layout, 7, ()), dataset, steps=5)
+    out = long_rollouts(build_model("still", dataset.layout, 7, Control()), dataset, steps=5)
     assert out["zero_actions_mm"] == {"hand": 0.0, "cube": 0.0}
     assert out["finite"] and 0.5 < out["random_actions_m"] < 1.0 and out["steps"] == 5
 

@@ -1,0 +1,128 @@
+"""World models that predict a velocity for each point: the paper's network and the paper's baselines."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from pwm_gym.robots import Control
+from pwm_gym.scene import Layout, PointState, RigidState, State
+
+__all__ = ["PointwiseConfig", "PointwiseModel", "velocity_head"]
+
+
+@dataclass(frozen=True)
+class PointwiseConfig:
+    """What per-point models share."""
+
+    rigid: bool = False
+    """Whether each entity moves as the rigid body that fits its points' predicted motion best (not in the paper)."""
+    points: int = 0
+    """Points of each entity that a rigid model reads, its cloud's first; 0 reads all."""
+    entity_features: bool = False
+    """Whether a point's features tell its entity (one-hot; ParticleFormer's instance segmentation)."""
+    position_scale: float = 0.1
+    """Metres that the network sees as 1."""
+    velocity_scale: float = 0.01
+    """Metres a step that the network sees, and gives, as 1."""
+
+
+class PointwiseModel(nn.Module, ABC):
+    """Velocities of the next step from [x_t, v_t, v_{t-1}] and an action (paper, section 3).
+
+    The network sees distances to the mean of the end effectors' points, except that the height feature stays that of
+    the robot base's frame: table and gravity depend on it.
+
+    Args:
+        layout: the scene's entities; a state may have other counts of points.
+        action_size: A.
+        control: what the action's components mean.
+        config: hyper-parameters.
+    """
+
+    def __init__(self, layout: Layout, action_size: int, control: Control | None, config: Any) -> None:
+        super().__init__()
+        self.layout, self.action_size, self.control = layout, action_size, control or Control()
+        self.config = config
+
+    @property
+    def channels(self) -> int:
+        """Features a point."""
+        return 9 + (len(self.layout) if self.config.entity_features else 0)
+
+    @abstractmethod
+    def network(self, rows: Tensor, positions: Tensor, action: Tensor) -> Tensor:
+        """Scaled velocities (B, N, 3).
+
+        Args:
+            rows: features (B, N, C).
+            positions: points (B, N, 3) as seen from the end effectors' mean, metres.
+            action: (B, A) in [-1, 1].
+        """
+
+    def prepare(self, state: State) -> State:
+        """The state as points, or as poses where entities are to move rigidly."""
+        if self.config.rigid:
+            return RigidState(state.layout, state.clouds, state.history())
+        return PointState.of(state)
+
+    def step(self, state: State, action: Tensor) -> State:
+        """State (B,) one control step after ``action`` (B, A) in [-1, 1]."""
+        if isinstance(state, PointState):
+            return state.advance(state.points() + self._velocities(state, action))
+        assert isinstance(state, RigidState)
+        read = state.coarsen(state.layout.truncate(self.config.points)) if self.config.points else state
+        after = read.points() + self._velocities(read, action)
+        fitted = PointState(read.layout, read.clouds, after.unsqueeze(1).expand(-1, 3, -1, -1))
+        return state.advance(fitted.poses())
+
+    def forward(
+        self,
+        points: Tensor,
+        velocity: Tensor,
+        previous_velocity: Tensor,
+        action: Tensor,
+        layout: Layout | None = None,
+    ) -> Tensor:
+        """Velocities of the next step (B, N, 3) in metres a step.
+
+        Args:
+            points: x_t (B, N, 3) in metres.
+            velocity: v_t (B, N, 3) in metres a step.
+            previous_velocity: v_{t-1} (B, N, 3).
+            action: a_t (B, A) in [-1, 1].
+            layout: of these points; None is the model's own.
+        """
+        layout = layout or self.layout
+        positions = points - _effector_mean(points, layout)
+        height = points[..., 2:] / self.config.position_scale
+        motion = torch.cat([velocity, previous_velocity], -1) / self.config.velocity_scale
+        rows = torch.cat([positions[..., :2] / self.config.position_scale, height, motion], -1)
+        if self.config.entity_features:
+            ids = torch.as_tensor(layout.ids, dtype=torch.long, device=points.device)
+            hot = nn.functional.one_hot(ids, len(layout)).to(rows)
+            rows = torch.cat([rows, hot.expand(len(rows), -1, -1)], -1)
+        return self.network(rows, positions, action) * self.config.velocity_scale
+
+    def _velocities(self, state: State, action: Tensor) -> Tensor:
+        return self(state.points(), state.velocity(), state.previous_velocity(), action, state.layout)
+
+
+def _effector_mean(points: Tensor, layout: Layout) -> Tensor:
+    """Mean (B, 1, 3) of the end effectors' points, or of all where there is no end effector."""
+    parts = [points[:, e.slice] for e in layout if e.effector] or [points]
+    # In float64 the mean does not depend on the order of the points, and so neither do their cells.
+    return torch.cat(parts, 1).double().mean(1, keepdim=True).to(points.dtype)
+
+
+def velocity_head(size: int, layers: int) -> nn.Sequential:
+    """Layer norm and an MLP (..., size) to (..., 3); its first outputs are small: untrained, little moves."""
+    hidden = [m for _ in range(layers - 1) for m in (nn.Linear(size, size), nn.GELU())]
+    last = nn.Linear(size, 3)
+    nn.init.normal_(last.weight, std=1e-2)
+    nn.init.zeros_(last.bias)
+    return nn.Sequential(nn.LayerNorm(size), *hidden, last)
