@@ -17,7 +17,10 @@ _WITHOUT_LEARNING = ("still", "commanded", "linear")
 
 @dataclass(frozen=True)
 class Evaluate:
-    """Roll a checkpoint out on a data set's test split, beside baselines, an oracle end effector and floors."""
+    """Roll a checkpoint out on a data set's test split, beside baselines, an oracle end effector and floors.
+
+    With ``--table``, train and evaluate every row of one of the paper's tables instead; what is there already is kept.
+    """
 
     task: str = "PickCube"
     """Registered task."""
@@ -31,6 +34,12 @@ class Evaluate:
     """Chamfer distances are measured at each n-th step; all other metrics at every one."""
     floors: bool = True
     """Whether to measure the floors, which needs the simulator."""
+    table: str | None = None
+    """rollout, baselines, register, horizon, data or arm."""
+    out: Path = Path("runs/tables")
+    """Folder of a table's trainings and results."""
+    workers: int = 1
+    """Trainings of a table at once, each on one thread."""
     json: Path | None = None
     """Where to write the results."""
     threads: int = 2
@@ -38,6 +47,9 @@ class Evaluate:
 
     def run(self) -> None:
         """Print the table and write the results."""
+        if self.table is not None:
+            self._table(self.table)
+            return
         import torch
 
         from pwm_gym.data import load_split
@@ -65,6 +77,22 @@ class Evaluate:
                 "checkpoint": checkpoint.description["training"]["data"],
             }
             write_results(self.json, {**results, "rows": rows, "floors": floors, "long_rollouts": long})
+
+    def _table(self, name: str) -> None:
+        from pwm_gym.evaluation import run_table, write_results
+
+        table = run_table(name, self.data, self.out, self.task, self.workers)
+        print(table["caption"])
+        for row in table["rows"]:
+            cells = [f"{split} {_spread(row['splits'][split]['chamfer_l1'])}" for split in row["splits"]]
+            correlation = _spread(row["splits"]["all"]["reward_correlation"], 3)
+            print(f"  {row['row']:36s} CD L1: {', '.join(cells)}; corr {correlation}")
+            print(
+                f"  {'':36s} {row['minutes']:.0f} min, {row['sample_steps']:,} sample-steps, "
+                f"{row['seeds']} seeds; paper, other data: {row['paper, other data'] or '-'}"
+            )
+        if self.json is not None:
+            write_results(self.json, {"table": name, **table})
 
 
 def _baselines(task: Task, data: Path) -> dict[str, Any]:
@@ -119,6 +147,12 @@ def _print(task: Task, rows: dict[str, Any], floors: dict[str, Any]) -> None:
         print(f"  reward correlation on true clouds (ceiling): {_number(ceiling)}")
     for name, floor in floors.items():
         print(f"{name} floor: {floor}")
+
+
+def _spread(value: dict[str, float], digits: int = 4) -> str:
+    """Mean and, where there are several seeds, their standard deviation."""
+    spread = f" +- {value['spread']:.{digits}f}" if value["spread"] else ""
+    return f"{value['mean']:.{digits}f}{spread}"
 
 
 def _number(value: float | None) -> str:

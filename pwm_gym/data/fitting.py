@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ from pwm_gym.data.partial import PartialWindows, visibility
 from pwm_gym.dynamics.checkpoint import SceneBank, save_checkpoint, use_device
 from pwm_gym.dynamics.registry import build_model
 from pwm_gym.dynamics.training import TrainConfig, train
-from pwm_gym.errors import unknown_name
+from pwm_gym.errors import DatasetError, unknown_name
 from pwm_gym.tasks import Task, get_task
 
 __all__ = ["BANK", "FitConfig", "fit", "scene_bank"]
@@ -48,6 +48,10 @@ class FitConfig:
     """Overrides of the kind's hyper-parameters, such as ``width 96 blocks 3``."""
     view: str = "complete"
     """"complete" clouds, or "partial": what one ray-cast camera sees, as the paper's baselines get."""
+    episodes: int = 0
+    """Train on so many episodes, evenly chosen; 0 takes all."""
+    kinds: tuple[str, ...] = ()
+    """Train on these kinds of episodes alone; none given takes all."""
     boost: float = _BOOST
     """How much likelier windows with an object's own motion are drawn."""
 
@@ -68,12 +72,14 @@ def fit(config: FitConfig, training: TrainConfig, validate: Validate, progress: 
     task = get_task(config.task)
     use_device(training.device)
     splits = [load_split(folder, "train", task.name) for folder in config.data]
-    dataset = _joined(splits)
+    dataset = _chosen(_joined(splits), config)
     held_out = load_split(config.data[0], "validation", task.name)
     seen: dict[str, Any] = {"train": None, "validation": None}
     if config.view not in _VIEWS:
         raise unknown_name("view", config.view, _VIEWS)
     if config.view == "partial":
+        if config.episodes or config.kinds or len(config.data) > 1:
+            raise DatasetError("view='partial' trains on all episodes of one data set; expected no choice of them")
         seen = _visible(config, task, {"train": dataset, "validation": held_out})
     windows = Windows(dataset, config.boost)
     if seen["train"] is not None:
@@ -110,6 +116,19 @@ def _visible(config: FitConfig, task: Task, splits: dict[str, Dataset]) -> dict[
 def _joined(splits: list[Dataset]) -> Dataset:
     first = splits[0]
     return Dataset(first.task, first.layout, first.clouds, tuple(e for s in splits for e in s.episodes))
+
+
+def _chosen(dataset: Dataset, config: FitConfig) -> Dataset:
+    """The training episodes that ``config`` asks for."""
+    if config.kinds:
+        dataset = dataset.of_kinds(config.kinds)
+    count = len(dataset.episodes)
+    if config.episodes > count:
+        raise DatasetError(f"episodes={config.episodes}; the data has {count}")
+    if config.episodes:
+        index = np.linspace(0, count - 1, config.episodes).round().astype(int)
+        dataset = replace(dataset, episodes=tuple(dataset.episodes[i] for i in index))
+    return dataset
 
 
 def _fit_response(model: nn.Module, windows: Windows) -> None:

@@ -5,8 +5,10 @@ from pwm_gym.evaluation.planning import planning_table, run_episodes, wilson
 from pwm_gym.evaluation.record import write_results
 from pwm_gym.evaluation.report import evaluate_rollouts
 from pwm_gym.evaluation.rollouts import long_rollouts, predict, validation_metrics
+from pwm_gym.evaluation.tables import TABLES, run_table
 
 __all__ = [
+    "TABLES",
     "chamfer",
     "evaluate_rollouts",
     "long_rollouts",
@@ -14,6 +16,7 @@ __all__ = [
     "planning_table",
     "predict",
     "run_episodes",
+    "run_table",
     "validation_metrics",
     "wilson",
     "write_results",

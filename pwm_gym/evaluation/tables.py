@@ -1,0 +1,246 @@
+"""The paper's tables for one task: what to train for each row, in resumable pieces, and the table of the results.
+
+Every row of a table has the same training budget in sample-steps (windows times predicted steps), stated with its
+minutes. Each piece (a row and a seed) keeps its result in a file, so that a killed run goes on where it was.
+"""
+
+from __future__ import annotations
+
+import json
+import multiprocessing as mp
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from pwm_gym.data import FitConfig, fit, load_split
+from pwm_gym.data.episodes import write_atomically
+from pwm_gym.data.partial import visibility
+from pwm_gym.dynamics import load_checkpoint
+from pwm_gym.dynamics.training import TrainConfig
+from pwm_gym.errors import unknown_name
+from pwm_gym.evaluation.report import evaluate_rollouts
+from pwm_gym.evaluation.rollouts import validation_metrics
+from pwm_gym.tasks import get_task
+
+__all__ = ["TABLES", "Row", "Table", "run_table"]
+
+_ABLATION = 500_000  # sample-steps: about ten minutes of the default model on one core
+_HEADLINE = 1_500_000
+
+
+@dataclass(frozen=True)
+class Row:
+    """One row of a table."""
+
+    name: str
+    model: str = "compact"
+    """Kind of world model."""
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    """Overrides of its hyper-parameters."""
+    view: str = "complete"
+    """What it sees."""
+    training: TrainConfig = field(default_factory=TrainConfig)
+    episodes: int = 0
+    """Training episodes, evenly chosen; 0 takes all."""
+    kinds: tuple[str, ...] = ()
+    """Kinds of training episodes; none given takes all."""
+    seeds: tuple[int, ...] = (0,)
+    paper: str = ""
+    """The paper's figure, measured on other data."""
+
+
+@dataclass(frozen=True)
+class Table:
+    """A set of rows with one caption."""
+
+    caption: str
+    rows: tuple[Row, ...]
+
+
+def _budget(sample_steps: int, batch: int, *shares: tuple[int, float], **settings: Any) -> TrainConfig:
+    """Phases of (horizon, share of the sample-steps), all with one batch size."""
+    phases = tuple((h, max(1, round(sample_steps * share / (h * batch))), batch) for h, share in shares)
+    return TrainConfig(phases=phases, threads=1, validate_every=10**9, **settings)
+
+
+_GROWING = ((1, 0.45), (5, 0.3), (15, 0.25))
+_QUICK = _budget(_ABLATION, 256, *_GROWING)
+_LONG = _budget(_HEADLINE, 32, (1, 0.4), (3, 0.3), (5, 0.3), learning_rate=1e-3, loss_points=64)
+_HYBRID = replace(_LONG, loss="hybrid")
+_SEEDS = (0, 1, 2)
+_SEES = {"rigid": False}
+_PLUS = {**_SEES, "entity_features": True}
+
+TABLES: dict[str, Table] = {
+    "rollout": Table(
+        "Rollouts of the test split (paper, Table 1)",
+        (
+            Row("3DPWM, compact", seeds=_SEEDS, training=_budget(_HEADLINE, 256, *_GROWING), paper="0.009 / 0.86"),
+            Row("3DPWM, paper-small", "paper-small", training=_LONG, seeds=_SEEDS, paper="0.009 / 0.86"),
+            Row("ParticleFormer+", "paper-small", _PLUS, "partial", _HYBRID, seeds=_SEEDS, paper="0.080 / 0.61"),
+            Row("Partial 3DPWM", "paper-small", _SEES, "partial", _HYBRID, seeds=_SEEDS, paper="0.085 / 0.57"),
+        ),
+    ),
+    "baselines": Table(
+        "Other learned baselines (paper, appendix)",
+        (
+            Row("GBND", "gbnd", {}, "partial", _HYBRID, paper="0.185 / 0.37"),
+            Row("ParticleFormer*", "particleformer", {}, "partial", _HYBRID, paper="0.132 / 0.41"),
+        ),
+    ),
+    "register": Table(
+        "Register tokens (paper, Table 2)",
+        tuple(
+            Row(f"{n} register tokens", settings={"registers": n}, training=_QUICK, paper=figure)
+            for n, figure in ((0, "0.013"), (1, "0.009"), (2, "0.009"))
+        ),
+    ),
+    "horizon": Table(
+        "Supervision horizon (paper, Table 3)",
+        (
+            *(
+                Row(f"H = {h}", training=_budget(_ABLATION, 256, (h, 1.0)), paper=figure)
+                for h, figure in ((1, ""), (3, "0.068"), (5, "0.038"), (10, "0.021"), (15, "0.009"))
+            ),
+            Row("H = 1, 5, 15 growing", training=_QUICK),
+        ),
+    ),
+    "data": Table(
+        "Training data",
+        (
+            Row("all kinds", training=_QUICK),
+            Row("no random switches", training=_QUICK, kinds=("expert", "practice")),
+            Row("demonstrations alone", training=_QUICK, kinds=("expert", "randomised")),
+            *(Row(f"{n} episodes", training=_QUICK, episodes=n) for n in (100, 300, 1000)),
+        ),
+    ),
+    "arm": Table(
+        "What the model knows of the arm",
+        (
+            Row("joints, kinematics and controller", training=_QUICK),
+            Row("the hand's motion alone", settings={"kinematic": False}, training=_QUICK),
+        ),
+    ),
+}
+"""Name -> table."""
+
+
+def run_table(name: str, data: Path, out: Path, task: str = "PickCube", workers: int = 1) -> dict[str, Any]:
+    """Train and evaluate what is still missing of a table, and return its rows.
+
+    Args:
+        name: of the table.
+        data: a data set; its test split is read once a piece.
+        out: folder of the pieces.
+        task: registered task.
+        workers: pieces at once, each on one thread.
+
+    Raises:
+        UnknownNameError: no table has this name.
+    """
+    if name not in TABLES:
+        raise unknown_name("table", name, TABLES)
+    table = TABLES[name]
+    missing = [p for p in _pieces(table, data, out, task) if not p.result.exists()]
+    if any(p.row.view == "partial" for p in missing):
+        _see(task, data)
+    if workers <= 1 or len(missing) <= 1:
+        for piece in missing:
+            _run(piece)
+    else:
+        with mp.get_context("spawn").Pool(min(workers, len(missing))) as pool:
+            for _ in pool.imap_unordered(_run, missing):
+                pass
+    results = [(p.row, json.loads(p.result.read_text())) for p in _pieces(table, data, out, task)]
+    return {"caption": table.caption, "rows": [_joined(row, results) for row in table.rows]}
+
+
+@dataclass(frozen=True)
+class _Piece:
+    row: Row
+    seed: int
+    data: Path
+    folder: Path
+    task: str
+
+    @property
+    def result(self) -> Path:
+        return self.folder / "result.json"
+
+
+def _pieces(table: Table, data: Path, out: Path, task: str) -> Iterator[_Piece]:
+    for row in table.rows:
+        for seed in row.seeds:
+            slug = "".join(c if c.isalnum() else "-" for c in row.name.lower())
+            yield _Piece(row, seed, data, out / f"{slug}-{seed}", task)
+
+
+def _see(task: str, data: Path) -> None:
+    """Visible points of every split, kept beside the data set before several processes want them."""
+    simulator = get_task(task).simulator()
+    meshes = simulator.meshes()
+    simulator.close()
+    for split in ("train", "validation", "test"):
+        visibility(load_split(data, split, task), meshes, cache=data / f"visible-{split}.npz")
+
+
+def _run(piece: _Piece) -> None:
+    """Train and evaluate one piece."""
+    torch.set_num_threads(1)
+    row, task = piece.row, get_task(piece.task)
+    begun = time.perf_counter()
+    config = FitConfig(
+        task=piece.task,
+        data=(piece.data,),
+        out=piece.folder,
+        model=row.model,
+        settings=dict(row.settings),
+        view=row.view,
+        episodes=row.episodes,
+        kinds=row.kinds,
+    )
+    training = replace(row.training, seed=piece.seed)
+    model = load_checkpoint(fit(config, training, validation_metrics, progress=False), piece.task).model
+    minutes = (time.perf_counter() - begun) / 60
+    test = load_split(piece.data, "test", piece.task)
+    seen = visibility(test, {}, cache=piece.data / "visible-test.npz") if row.view == "partial" else None
+    table = evaluate_rollouts(model, task, test, every=10, progress=False, seen=seen)
+    result = {
+        "row": row.name,
+        "seed": piece.seed,
+        "minutes": minutes,
+        "sample_steps": sum(h * steps * batch for h, steps, batch in training.phases),
+        "parameters": sum(p.numel() for p in model.parameters()),  # type: ignore[attr-defined]
+        "splits": table,
+    }
+    write_atomically(piece.result, json.dumps(result, default=float).encode())
+
+
+def _joined(row: Row, results: list[tuple[Row, dict[str, Any]]]) -> dict[str, Any]:
+    """Mean and spread over the seeds of a row."""
+    runs = [result for other, result in results if other is row]
+    splits = {}
+    for split in runs[0]["splits"]:
+        values = {
+            "chamfer_l1": [r["splits"][split]["chamfer_l1"] for r in runs],
+            "reward_correlation": [r["splits"][split]["reward_correlation"] for r in runs],
+        }
+        task_object = list(runs[0]["splits"][split]["entities"])[-1]
+        errors = [r["splits"][split]["entities"][task_object]["position_mm"] for r in runs]
+        if all("60" in e for e in errors):
+            values[f"{task_object}_at_60_mm"] = [e["60"]["mean"] for e in errors]
+        splits[split] = {k: {"mean": float(np.mean(v)), "spread": float(np.std(v))} for k, v in values.items()}
+    return {
+        "row": row.name,
+        "paper, other data": row.paper,
+        "seeds": len(runs),
+        "minutes": float(np.mean([r["minutes"] for r in runs])),
+        "sample_steps": runs[0]["sample_steps"],
+        "parameters": runs[0]["parameters"],
+        "splits": splits,
+    }

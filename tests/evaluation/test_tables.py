@@ -1,0 +1,51 @@
+import json
+from dataclasses import replace
+
+import pytest
+
+from pwm_gym.dynamics.training import TrainConfig
+from pwm_gym.errors import DatasetError, UnknownNameError
+from pwm_gym.evaluation import TABLES, run_table
+from pwm_gym.evaluation.tables import Row, Table
+
+TINY = {"points": 8, "point_width": 8, "width": 16, "blocks": 1, "kinematic": False}
+QUICK = TrainConfig(phases=((1, 2, 8),), threads=1)
+
+
+@pytest.fixture
+def tiny(monkeypatch):
+    row = Row("One", settings=TINY, training=QUICK, seeds=(0, 1), paper="0.009")
+    monkeypatch.setitem(TABLES, "tiny", Table("A tiny table", (row,)))
+    return row
+
+
+def test_a_table_has_each_row_with_its_seeds_and_goes_on_where_it_was(tiny, data_folder, tmp_path):
+    table = run_table("tiny", data_folder, tmp_path)
+    (row,) = table["rows"]
+    assert (table["caption"], row["row"], row["seeds"], row["paper, other data"]) == ("A tiny table", "One", 2, "0.009")
+    assert row["sample_steps"] == 16 and row["parameters"] > 100
+    assert row["splits"]["all"]["chamfer_l1"]["mean"] > 0
+    result = tmp_path / "one-1" / "result.json"
+    kept = json.loads(result.read_text())
+    kept["splits"]["all"]["chamfer_l1"] = 1.0
+    result.write_text(json.dumps(kept))
+    (tmp_path / "one-0" / "result.json").unlink()
+    again = run_table("tiny", data_folder, tmp_path)["rows"][0]
+    first = row["splits"]["all"]["chamfer_l1"]["mean"] * 2 - kept["splits"]["all"]["chamfer_l1"]
+    assert first < 1.0 < again["splits"]["all"]["chamfer_l1"]["mean"] * 2
+
+
+def test_rows_of_a_table_have_one_budget():
+    for table in TABLES.values():
+        budgets = [sum(h * n * b for h, n, b in row.training.phases) for row in table.rows]
+        assert max(budgets) < 1.01 * min(budgets)
+        names = [row.name for row in table.rows]
+        assert len(set(names)) == len(names)
+
+
+def test_unknown_tables_and_too_many_episodes_are_named(tiny, data_folder, tmp_path, monkeypatch):
+    with pytest.raises(UnknownNameError, match=r"unknown table 'horizn'.*Did you mean 'horizon'"):
+        run_table("horizn", data_folder, tmp_path)
+    monkeypatch.setitem(TABLES, "many", Table("", (replace(tiny, name="Many", episodes=99),)))
+    with pytest.raises(DatasetError, match="episodes=99; the data has 8"):
+        run_table("many", data_folder, tmp_path)
