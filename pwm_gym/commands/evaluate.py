@@ -34,6 +34,10 @@ class Evaluate:
     """Chamfer distances are measured at each n-th step; all other metrics at every one."""
     floors: bool = True
     """Whether to measure the floors, which needs the simulator."""
+    long: int = 0
+    """Episodes of 300 steps of expert and random actions in turn, made in the simulator, for long rollouts."""
+    picture: Path | None = None
+    """Where to draw the errors of the long rollouts over time (PNG)."""
     table: str | None = None
     """rollout, baselines, register, horizon, data or arm."""
     out: Path = Path("runs/tables")
@@ -70,13 +74,32 @@ class Evaluate:
         long = long_rollouts(checkpoint.model, dataset)
         print(f"300 zero actions, moved at the end (mm): {long['zero_actions_mm']}")
         print(f"300 random actions: farthest {long['random_actions_m']:.2f} m, finite: {long['finite']}")
+        curves = self._long(task, checkpoint.model, dataset) if self.long else {}
         if self.json is not None:
             results = {
                 "split": self.split,
                 "every": self.every,
                 "checkpoint": checkpoint.description["training"]["data"],
             }
-            write_results(self.json, {**results, "rows": rows, "floors": floors, "long_rollouts": long})
+            write_results(
+                self.json,
+                {**results, "rows": rows, "floors": floors, "long_rollouts": {**long, "mixed_actions": curves}},
+            )
+
+    def _long(self, task: Task, model: Any, dataset: Dataset) -> dict[str, Any]:
+        """Errors along long rollouts, drawn where asked for."""
+        from pwm_gym.evaluation.long import error_curves, mixed_episodes
+        from pwm_gym.viewer import draw_quartiles
+
+        simulator = task.simulator()
+        curves = error_curves(model, mixed_episodes(simulator, task, dataset.clouds, self.long))
+        simulator.close()
+        for length, value in curves.mean_chamfer.items():
+            print(f"{length} steps of mixed actions: Chamfer L1 {value:.4f} m on average")
+        if self.picture is not None:
+            panels = {f"{name}: position error (mm)": v for name, v in curves.positions.items()}
+            draw_quartiles(panels, f"{task.name}: {self.long} rollouts of mixed actions").save(self.picture)
+        return curves.summary()
 
     def _table(self, name: str) -> None:
         from pwm_gym.evaluation import run_table, write_results

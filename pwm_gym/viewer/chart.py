@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from pwm_gym.viewer.palette import Color
+from pwm_gym.viewer.palette import PREDICTED, Color, tint
 
-__all__ = ["AXIS", "INK", "MUTED", "Chart", "Curve", "dot", "fit", "nice_ticks", "swatch", "text"]
+__all__ = ["AXIS", "INK", "MUTED", "Chart", "Curve", "dot", "draw_quartiles", "fit", "nice_ticks", "swatch", "text"]
 
 INK: Color = (28, 38, 46)
 MUTED: Color = (98, 110, 120)
@@ -194,3 +194,25 @@ def _whole_ticks(steps: int) -> list[int]:
     ticks = nice_ticks(0, steps, 5)
     pitch = max(1, round(float(ticks[1] - ticks[0])))
     return list(range(0, steps + 1, pitch))
+
+
+def draw_quartiles(panels: Mapping[str, np.ndarray], title: str, size: tuple[int, int] = (460, 300)) -> Image.Image:
+    """A picture of charts side by side, each of quartiles (3, T) of one quantity over steps 1 to T.
+
+    Args:
+        panels: title of a chart -> lower quartile, median and upper quartile.
+        title: over all of them.
+        size: of one chart, pixels.
+    """
+    width, height = size
+    image = Image.new("RGB", (20 + len(panels) * (width + 20), height + 60), (255, 255, 255))
+    text(image, (20, 24), title, 17)
+    for k, (name, (low, middle, high)) in enumerate(panels.items()):
+        left = 20 + k * (width + 20)
+        curves = (
+            Curve("quartiles", high, tint(PREDICTED, 0.4)),
+            Curve("", low, tint(PREDICTED, 0.4)),
+            Curve("median", middle, PREDICTED),
+        )
+        image = Chart((left, 48, left + width, 48 + height), name, curves, from_zero=True).draw(image)
+    return image
