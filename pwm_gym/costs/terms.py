@@ -13,7 +13,8 @@ Points = Mapping[str, Tensor]
 
 _TOOL_RATIO = 0.355  # (tool - fingers) / (fingers - hand) along the Panda hand's axis, of its collision meshes
 _CLOSE = 0.025  # the paper's grasp distance
-_PRESSED = (-0.005, -0.0008)  # metres; ManiSkill's pads sink 1.6 to 2.8 mm into an object that they hold
+# Metres. ManiSkill's pads sink 1.6 to 2.8 mm into an object that they hold; a model may see it 2 mm nearer to one pad.
+_DEEPEST, _LOOSEST, _PRESSED = -0.008, 0.001, -0.001
 
 
 def centre(points: Points, name: str) -> Tensor:
@@ -59,10 +60,10 @@ def near_and_shut(points: Points, action: Tensor, name: str) -> Tensor:
 
 
 def pinched(points: Points, action: Tensor, name: str) -> Tensor:
-    """Bool (B,): near and shut, and both fingers stopped at the object's sides, pressing, with the object between."""
+    """Bool (B,): near and shut, and the fingers stopped at the object's sides, pressing together, with it between."""
     gaps = finger_gaps(points, name)
-    pressing = ((gaps >= _PRESSED[0]) & (gaps <= _PRESSED[1])).all(-1)
-    return pressing & near_and_shut(points, action, name)
+    touching = ((gaps >= _DEEPEST) & (gaps <= _LOOSEST)).all(-1)
+    return touching & (gaps.sum(-1) <= _PRESSED) & near_and_shut(points, action, name)
 
 
 def speed(velocity: Points, name: str) -> Tensor:

@@ -156,3 +156,14 @@ def test_a_truncated_header_is_named(copied):
         collect(copied, progress=False)
     with pytest.raises(DatasetError, match=r"dataset\.json is truncated or not JSON"):
         load_split(copied.out, "train")
+
+
+@pytest.mark.slow
+def test_a_planners_own_runs_are_collected(data_config, tmp_path):
+    config = replace(data_config, out=tmp_path / "set", episodes=1, held_out=1, practice=0.0, on_policy=1.0)
+    (episode,) = load_split(collect(config, progress=False), "train").episodes
+    assert KINDS[episode.kind] == "on_policy" and 3 <= len(episode) <= 60
+    hand = episode.poses[:, 0, :3]
+    cube = episode.poses[0, 3, :3]
+    gap = np.linalg.norm(hand - cube, axis=1)
+    assert gap.min() < 0.6 * gap[0]  # it plans to get at the cube
