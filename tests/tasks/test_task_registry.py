@@ -11,7 +11,7 @@ def test_a_tasks_parts_fit_together(task):
     assert task.object in task.layout.names and not task.layout[task.object].effector
     assert {task.cost, task.plan_cost} <= set(COSTS)
     assert task.success in SUCCESSES and task.grasp in GRASPS
-    assert all(b - a == 3 and b <= task.action_size for a, b in task.action_frame.vectors)
+    assert all(b - a == 3 and b <= task.action_size for a, b in task.control.vectors)
     roots = [e.name for e in task.layout if e.effector and e.slider is None]
     assert all(e.slider.parent in roots for e in task.layout if e.slider)
     assert task.description and task.max_episode_steps > 0
