@@ -18,7 +18,7 @@ from pwm_gym.data.episodes import KINDS
 from pwm_gym.data.partial import PartialWindows, visibility
 from pwm_gym.dynamics.checkpoint import SceneBank, save_checkpoint, use_device
 from pwm_gym.dynamics.registry import build_model
-from pwm_gym.dynamics.training import TrainConfig, train
+from pwm_gym.dynamics.training import TrainConfig, has_state, train
 from pwm_gym.errors import DatasetError, unknown_name
 from pwm_gym.tasks import Task, get_task
 
@@ -52,6 +52,8 @@ class FitConfig:
     """Train on so many episodes, evenly chosen; 0 takes all."""
     kinds: tuple[str, ...] = ()
     """Train on these kinds of episodes alone; none given takes all."""
+    arm_steps: int = 6000
+    """Optimiser steps, before training begins, on the response of a known arm's joints."""
     boost: float = _BOOST
     """How much likelier windows with an object's own motion are drawn."""
 
@@ -86,7 +88,8 @@ def fit(config: FitConfig, training: TrainConfig, validate: Validate, progress: 
         windows = PartialWindows(dataset, seen["train"], boost=config.boost)
     torch.manual_seed(training.seed)
     model = build_model(config.model, task.layout, task.action_size, task.control, config.settings)
-    _fit_response(model, windows)
+    if not has_state(config.out):  # a resumed run reads what was fitted
+        _fit_response(model, windows, config.arm_steps)
     checkpoint = config.out / "checkpoint"
     description: dict[str, Any] = {
         "config": json.loads(json.dumps(asdict(training), default=str)),
@@ -131,14 +134,14 @@ def _chosen(dataset: Dataset, config: FitConfig) -> Dataset:
     return dataset
 
 
-def _fit_response(model: nn.Module, windows: Windows) -> None:
+def _fit_response(model: nn.Module, windows: Windows, arm_steps: int) -> None:
     """The parts of a model that are fitted on every training transition before it is trained on rollouts."""
     response, arm = getattr(model, "response", None), getattr(model, "arm", None)
     every = windows.transitions()
     if response is not None:
         response.fit(every.frames, every.actions[:, 0], every.following[:, 0])
     if arm is not None:
-        arm.fit(every.joints, every.actions[:, 0], every.following_joints[:, 0])
+        arm.fit(every.joints, every.actions[:, 0], every.following_joints[:, 0], arm_steps)
 
 
 def _describe(config: FitConfig, dataset: Dataset) -> dict[str, Any]:

@@ -18,7 +18,7 @@ _UNSOLVED = 1e-3  # metres by which a solution may miss; ManiSkill's solver give
 _ITERATIONS = 3
 _STEP = 0.01  # radians a step: the remainder's unit
 _QUIET = 1e-4  # radians: below it an arm is at rest
-_FIT_STEPS, _FIT_BATCH, _FIT_RATE = 6000, 1024, 2e-3
+_FIT_BATCH, _FIT_RATE = 1024, 2e-3
 
 
 class ArmResponse(nn.Module):
@@ -107,7 +107,7 @@ class ArmResponse(nn.Module):
         size = moves.square().sum(-1, keepdim=True).clamp_min(1e-12).sqrt()
         return torch.tanh(30.0 * (size - _QUIET).clamp_min(0.0))
 
-    def fit(self, joints: Tensor, action: Tensor, following: Tensor, steps: int = _FIT_STEPS) -> None:
+    def fit(self, joints: Tensor, action: Tensor, following: Tensor, steps: int) -> None:
         """Least squares, then gradient descent on the remainder.
 
         Args:

@@ -23,7 +23,7 @@ from pwm_gym.dynamics.model import WorldModel
 from pwm_gym.errors import CheckpointError, unknown_name
 from pwm_gym.scene import Layout, RigidState, State
 
-__all__ = ["Batch", "Batches", "TrainConfig", "rollout_loss", "train"]
+__all__ = ["Batch", "Batches", "TrainConfig", "has_state", "rollout_loss", "train"]
 
 _STATE = "training-state.pt"
 _LOSSES = ("huber", "hybrid")
@@ -241,6 +241,11 @@ def train(
                 metrics = run.checkpoint(validate, save)
     run.finish()
     return metrics
+
+
+def has_state(folder: Path) -> bool:
+    """Whether a run in ``folder`` can be resumed."""
+    return (folder / _STATE).exists()
 
 
 class _Run:

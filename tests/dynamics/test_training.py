@@ -200,12 +200,15 @@ def test_the_papers_model_trains_in_the_same_loop(windows, tmp_path):
 
 
 def fit_config(data_folder, out):
-    return FitConfig(data=(data_folder,), out=out, settings=SETTINGS)
+    return FitConfig(data=(data_folder,), out=out, settings=SETTINGS, arm_steps=20)
 
 
 def options(data_folder, out, steps):
     flat = [str(x) for pair in SETTINGS.items() for x in pair]
-    given = f"train --data {data_folder} --out {out} --phases 1 {steps} 16 --validate-every 5 --threads 1 --settings"
+    given = (
+        f"train --data {data_folder} --out {out} --phases 1 {steps} 16 --validate-every 5 --threads 1 --arm-steps 20"
+    )
+    given += " --settings"
     return [*given.split(), *flat]
 
 
@@ -222,15 +225,17 @@ def test_a_killed_run_resumes_to_the_same_checkpoint(data_folder, tmp_path):
     process.send_signal(signal.SIGKILL)
     assert process.wait() == -signal.SIGKILL
     assert 0 < torch.load(out / "training-state.pt", weights_only=True)["step"] < 60
-    resumed = fit(fit_config(data_folder, out), config, lambda m, d: {}, progress=False)
-    whole = fit(fit_config(data_folder, tmp_path / "whole"), config, lambda m, d: {}, progress=False)
+    resumed = fit(fit_config(data_folder, out), config, lambda m, d, seen: {}, progress=False)
+    whole = fit(fit_config(data_folder, tmp_path / "whole"), config, lambda m, d, seen: {}, progress=False)
     a, b = (load_checkpoint(folder, "PickCube").model for folder in (resumed, whole))
     assert_equal(a.state_dict(), b.state_dict())
 
 
 def test_fit_writes_a_checkpoint_that_says_what_it_was_trained_on(data_folder, train_split, tmp_path):
     quick = replace(QUICK, phases=((1, 2, 4),))
-    folder = fit(fit_config(data_folder, tmp_path), quick, lambda m, d: {"episodes": len(d.episodes)}, progress=False)
+    folder = fit(
+        fit_config(data_folder, tmp_path), quick, lambda m, d, seen: {"episodes": len(d.episodes)}, progress=False
+    )
     checkpoint = load_checkpoint(folder, "PickCube")
     assert isinstance(checkpoint.model, CompactModel) and checkpoint.model.config == CompactConfig(**SETTINGS)
     data = checkpoint.description["training"]["data"]
@@ -243,7 +248,7 @@ def test_fit_writes_a_checkpoint_that_says_what_it_was_trained_on(data_folder, t
 
 def test_a_missing_data_set_is_named(tmp_path):
     with pytest.raises(DatasetError, match=r"nowhere is not a data set"):
-        fit(fit_config(tmp_path / "nowhere", tmp_path), QUICK, lambda m, d: {}, progress=False)
+        fit(fit_config(tmp_path / "nowhere", tmp_path), QUICK, lambda m, d, seen: {}, progress=False)
 
 
 def free_port():
