@@ -35,9 +35,9 @@ class MPPIConfig:
     correlation: tuple[float, ...] = (0.7, 0.7, 0.7, 0.7, 0.7, 0.7, 0.97)
     """Correlation of the noise from one step to the next, for each dimension or one for all; 0 is white. A gripper's is
     high: one step's opening drops what is held, which would hide all other differences between the samples."""
-    finest: tuple[float, ...] = (0.05, 0.05, 0.05, 1.0, 1.0, 0.05, 1.0)
+    finest: tuple[float, ...] = (0.2, 0.2, 0.2, 1.0, 1.0, 0.2, 1.0)
     """The samples' noise is scaled from 1 down to this, for each dimension or one for all, so that some search wide and
-    some refine (to stand still at a goal, an arm needs that); a gripper's is not, since only wide noise shuts it."""
+    some refine; a gripper's is not, since only wide noise shuts it."""
     iterations: int = 1
     """Rounds of sampling around the improved mean."""
 
