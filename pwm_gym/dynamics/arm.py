@@ -6,19 +6,35 @@ inverse kinematics, plus a small learned remainder (torque limits, inertia, grav
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
 from pwm_gym.robots import ArmKinematics, SerialArm
 
-__all__ = ["ArmResponse"]
+__all__ = ["STEP", "ArmOutlook", "ArmResponse"]
 
 _UNSOLVED = 1e-3  # metres by which a solution may miss; ManiSkill's solver gives up there, and the arm stays
 _ITERATIONS = 3
-_STEP = 0.01  # radians a step: the remainder's unit
+STEP = 0.01
+"""Radians a step: the unit of what is learned."""
 _QUIET = 1e-4  # radians: below it an arm is at rest
 _FIT_BATCH, _FIT_RATE = 1024, 2e-3
+_FIT_SCALE = 0.002  # radians that count as 1 in the fit's loss
+
+
+@dataclass(frozen=True)
+class ArmOutlook:
+    """An arm's next step as fitted, and what a model needs to correct it."""
+
+    step: Tensor
+    """Of the joints (B, J), radians."""
+    features: Tensor
+    """What it follows from, and itself (B, K), of order 1; the same for a turned base."""
+    stirred: Tensor
+    """0 (B, 1) where the arm rests without a command, near 1 elsewhere."""
 
 
 class ArmResponse(nn.Module):
@@ -37,7 +53,7 @@ class ArmResponse(nn.Module):
         count = arm.joints
         self.register_buffer("weight", torch.zeros(3 * count, count))
         self.net = nn.Sequential(
-            nn.Linear(self.features, width),
+            nn.Linear(self.features - count, width),
             nn.GELU(),
             nn.Linear(width, width),
             nn.GELU(),
@@ -50,8 +66,8 @@ class ArmResponse(nn.Module):
 
     @property
     def features(self) -> int:
-        """Width of :meth:`describe`."""
-        return 3 * (self.kinematics.arm.joints - 1) + 5 * self.kinematics.arm.joints + 5
+        """Width of :attr:`ArmOutlook.features`."""
+        return 9 * self.kinematics.arm.joints + 2
 
     def observe(self, root: Tensor, joints: Tensor | None) -> Tensor:
         """Joint angles (..., 3, J) behind root poses (..., 3, 4, 4): as given, or by inverse kinematics from rest."""
@@ -64,18 +80,22 @@ class ArmResponse(nn.Module):
             found.append(start)
         return torch.stack(found, -2)
 
+    def forward(self, joints: Tensor, action: Tensor, root: Tensor) -> ArmOutlook:
+        """The next step of angles (B, 3, J) under actions (B, A), with the root link at (B, 4, 4)."""
+        return self.respond(joints, self.command(joints[:, 0], action, root), root)
+
     @torch.no_grad()
-    def command(self, joints: Tensor, action: Tensor) -> Tensor:
+    def command(self, joints: Tensor, action: Tensor, root: Tensor) -> Tensor:
         """Way (B, J) from angles (B, J) to where the controller drives them: zero where it finds no solution."""
-        goal = self.kinematics.target(joints, action)
+        goal = self.kinematics.target(root, action)
         solution, miss = self.kinematics.solve(goal, joints, _ITERATIONS)
         found = torch.isfinite(solution).all(-1) & (miss < _UNSOLVED)
         return torch.where(found.unsqueeze(-1), solution - joints, 0.0)
 
-    def describe(self, joints: Tensor, command: Tensor, root: Tensor) -> Tensor:
-        """Features (B, K) of angles (B, 3, J), commands (B, J) and root poses (B, 4, 4); the same for a turned base."""
-        angles = joints[:, 0, 1:]  # the first joint turns the whole arm about the vertical
-        steps = joints[:, :2] - joints[:, 1:]
+    def respond(self, joints: Tensor, command: Tensor, root: Tensor) -> ArmOutlook:
+        """The next step of angles (B, 3, J) under commands (B, J), with the root link at (B, 4, 4)."""
+        moves = _moves(joints, command)
+        angles = joints[:, 0, 1:]  # the first joint turns the whole arm about the vertical, which changes nothing
         height = root[:, 2, 3:] + root[:, 2, :3] @ self.kinematics.tool.unsqueeze(-1)  # of the tool
         parts = [
             angles,
@@ -84,28 +104,16 @@ class ArmResponse(nn.Module):
             5.0 * command,
             torch.tanh(3.0 * command),
             torch.tanh(10.0 * command),
-            20.0 * steps.flatten(1),
+            20.0 * moves[:, command.shape[1] :],
             torch.tanh(height / 0.02),
             torch.tanh(height / 0.1),
             root[:, 2, :3],
         ]
-        return torch.cat(parts, 1)
-
-    def linear(self, joints: Tensor, command: Tensor) -> Tensor:
-        """Linear part (B, J) of the next step."""
-        return self._regressors(joints, command) @ self.weight
-
-    def forward(self, joints: Tensor, command: Tensor, root: Tensor) -> Tensor:
-        """Next step (B, J) in radians of angles (B, 3, J) under commands (B, J), with the root link at (B, 4, 4)."""
-        remainder = self.net(self.describe(joints, command, root)) * self.stirred(joints, command)
-        return self.linear(joints, command) + _STEP * remainder
-
-    @staticmethod
-    def stirred(joints: Tensor, command: Tensor) -> Tensor:
-        """0 (B, 1) where the arm rests without a command, near 1 elsewhere."""
-        moves = torch.cat([command, (joints[:, :2] - joints[:, 1:]).flatten(1)], 1)
+        known = torch.cat(parts, 1)
         size = moves.square().sum(-1, keepdim=True).clamp_min(1e-12).sqrt()
-        return torch.tanh(30.0 * (size - _QUIET).clamp_min(0.0))
+        stirred = torch.tanh(30.0 * (size - _QUIET).clamp_min(0.0))
+        step = moves @ self.weight + STEP * stirred * self.net(known)
+        return ArmOutlook(step, torch.cat([known, step / STEP], 1), stirred)
 
     def fit(self, joints: Tensor, action: Tensor, following: Tensor, steps: int) -> None:
         """Least squares, then gradient descent on the remainder.
@@ -117,23 +125,24 @@ class ArmResponse(nn.Module):
             steps: optimiser steps.
         """
         joints, following = (x[..., : self.kinematics.arm.joints] for x in (joints, following))
-        command = self.command(joints[:, 0], action)
         root = self.kinematics(joints[:, 0])
+        command = self.command(joints[:, 0], action, root)
         moved = following - joints[:, 0]
-        x = self._regressors(joints, command)
-        self.weight.copy_(torch.linalg.lstsq(x.double(), moved.double(), driver="gelsd").solution.float())
+        moves = _moves(joints, command).double()
+        self.weight.copy_(torch.linalg.lstsq(moves, moved.double(), driver="gelsd").solution.float())
         optimizer = torch.optim.AdamW(self.net.parameters(), _FIT_RATE)
         schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, max(1, steps))
         generator = torch.Generator().manual_seed(0)
         for _ in range(steps):
             index = torch.randint(len(moved), (_FIT_BATCH,), generator=generator)
-            error = self(joints[index], command[index], root[index]) - moved[index]
-            loss = F.huber_loss(error / 0.002, torch.zeros_like(error), delta=0.5)
+            error = self.respond(joints[index], command[index], root[index]).step - moved[index]
+            loss = F.huber_loss(error / _FIT_SCALE, torch.zeros_like(error), delta=0.5)
             optimizer.zero_grad(set_to_none=True)
             loss.backward()
             optimizer.step()
             schedule.step()
 
-    @staticmethod
-    def _regressors(joints: Tensor, command: Tensor) -> Tensor:
-        return torch.cat([command, (joints[:, :2] - joints[:, 1:]).flatten(1)], 1)
+
+def _moves(joints: Tensor, command: Tensor) -> Tensor:
+    """Commands (B, J) and the two last steps of angles (B, 3, J), side by side (B, 3 J)."""
+    return torch.cat([command, (joints[:, :2] - joints[:, 1:]).flatten(1)], 1)

@@ -108,9 +108,8 @@ class LinearBaseline(Still):
         """Tool centre (B, 3): the arm's own, or the centre of the links that slide."""
         effector, names = self.response.effector, state.layout.names
         if self.control.arm is not None:
-            return transform(state.poses()[:, effector.root], state.clouds.new_tensor([self.control.arm.tool])).squeeze(
-                -2
-            )
+            tool = state.clouds.new_tensor([self.control.arm.tool])
+            return transform(state.poses()[:, effector.root], tool).squeeze(-2)
         links = effector.sliding or [effector.root]
         return torch.stack([state.entity(names[i]).mean(1) for i in links]).mean(0)
 

@@ -21,17 +21,17 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from pwm_gym.dynamics.arm import ArmResponse
-from pwm_gym.dynamics.response import LinearResponse, twists
+from pwm_gym.dynamics.arm import STEP, ArmOutlook, ArmResponse
+from pwm_gym.dynamics.response import LinearResponse, twist, twists
 from pwm_gym.robots import Control
 from pwm_gym.scene import Layout, RigidState, State
-from pwm_gym.scene.se3 import make_pose, motion_vector, rotation_from_vector
+from pwm_gym.scene.se3 import make_pose, rotation_from_vector
 
 __all__ = ["CompactConfig", "CompactModel"]
 
 # Scales that bring features to order 1; metres, radians, per step where it is a motion.
 _LENGTH, _NEAR = 0.1, 0.01
-_TRANSLATION, _ROTATION, _OPENING, _JOINT = 0.01, 0.05, 0.005, 0.01
+_TRANSLATION, _ROTATION, _OPENING = 0.01, 0.05, 0.005
 
 
 @dataclass(frozen=True)
@@ -59,18 +59,6 @@ class CompactConfig:
 
 
 @dataclass(frozen=True)
-class _ArmOutlook:
-    """What is known of a known arm's next step."""
-
-    step: Tensor
-    """Its fitted response (B, J), radians."""
-    features: Tensor
-    """What the root link's token knows of it (B, K)."""
-    stirred: Tensor
-    """0 (B, 1) where it rests without a command, near 1 elsewhere."""
-
-
-@dataclass(frozen=True)
 class _Outlook:
     """What is known of the end effector's next step before the tokens are decoded."""
 
@@ -80,7 +68,7 @@ class _Outlook:
     """Their linear response (B, S)."""
     twist: Tensor
     """The root link's fitted response (B, 6), world frame."""
-    arm: _ArmOutlook | None = None
+    arm: ArmOutlook | None = None
 
 
 class CompactModel(nn.Module):
@@ -118,11 +106,14 @@ class CompactModel(nn.Module):
         self.head = nn.Linear(c.width, 8)  # attachment, movement, twist
         nn.init.zeros_(self.head.weight)
         nn.init.zeros_(self.head.bias)
+        self.arm_place: Tensor
         self.arm: ArmResponse | None = None
         if c.kinematic and self.control.arm is not None:
             joints = self.control.arm.joints
             self.arm = ArmResponse(self.control.arm, c.arm_width)
-            self.arm_token = nn.Linear(self.arm.features + joints, c.width)
+            self.arm_token = nn.Linear(self.arm.features, c.width)
+            place = F.one_hot(torch.tensor(effector.root), len(layout)).float().unsqueeze(-1)
+            self.register_buffer("arm_place", place, persistent=False)  # (E, 1): 1 at the root link
             self.arm_head = nn.Linear(c.width, joints)
             nn.init.zeros_(self.arm_head.weight)
             nn.init.zeros_(self.arm_head.bias)
@@ -144,23 +135,20 @@ class CompactModel(nn.Module):
 
     def _foresee(self, state: RigidState, action: Tensor) -> _Outlook:
         openings = self.response.effector.openings(state.frames)
-        twist, slide = self.response(state.frames, openings, action)
         if self.arm is None:
-            return _Outlook(openings, slide, twist)
+            step, slide = self.response(state.frames, openings, action)
+            return _Outlook(openings, slide, step)
         assert state.joints is not None, "prepare() the state first"
-        now, joints = self._roots(state.frames)[:, 0], state.joints
-        command = self.arm.command(joints[:, 0], action)
-        step = self.arm(joints, command, now)
-        twist = _twist(now, self.arm.kinematics(joints[:, 0] + step))
-        features = torch.cat([self.arm.describe(joints, command, now), step / _JOINT], 1)
-        return _Outlook(openings, slide, twist, _ArmOutlook(step, features, self.arm.stirred(joints, command)))
+        now = self._roots(state.frames)[:, 0]
+        arm = self.arm(state.joints, action, now)
+        step = twist(now, self.arm.kinematics(state.joints[:, 0] + arm.step))
+        return _Outlook(openings, self.response.slide(openings, action), step, arm)
 
     def _tokens(self, state: RigidState, outlook: _Outlook, action: Tensor) -> Tensor:
         """Entity tokens (B, E, C) after attention over [entities, action, registers]."""
         entities = self._entities(state, self._context(state.frames, outlook))
         if outlook.arm is not None:
-            place = F.one_hot(torch.tensor(self.response.effector.root), len(self.layout)).to(entities).unsqueeze(-1)
-            entities = entities + place * self.arm_token(outlook.arm.features).unsqueeze(1)
+            entities = entities + self.arm_place * self.arm_token(outlook.arm.features).unsqueeze(1)
         command = self.action(self._turned(action, self._roots(state.frames)[:, 0, :3, :3])).unsqueeze(1)
         registers = self.register.expand(len(action), -1, -1)
         tokens = torch.cat([entities, command, registers], 1)  # (B, E + 1 + R, C)
@@ -175,14 +163,14 @@ class CompactModel(nn.Module):
         token = tokens[:, self.response.effector.root]
         if self.arm is not None and outlook.arm is not None:
             assert state.joints is not None
-            step = outlook.arm.step + outlook.arm.stirred * _JOINT * self.arm_head(token)
+            step = outlook.arm.step + STEP * outlook.arm.stirred * self.arm_head(token)
             joints = self.arm.kinematics.limit(state.joints[:, 0] + step)
             return self.arm.kinematics(joints), joints
         roots = self._roots(state.frames)
         learned = self._world_twists(roots[:, 0], self.head(token)[:, None, 2:]).squeeze(1)
-        twist = outlook.twist + _aliveness(twists(roots), action[:, : self._arm_stop()]) * learned
-        position = self.response.confine(roots[:, 0, :3, 3] + twist[:, :3])
-        return make_pose(rotation_from_vector(twist[:, 3:]) @ roots[:, 0, :3, :3], position), None
+        moved = outlook.twist + _aliveness(twists(roots), action[:, : self._arm_stop()]) * learned
+        position = self.response.confine(roots[:, 0, :3, 3] + moved[:, :3])
+        return make_pose(rotation_from_vector(moved[:, 3:]) @ roots[:, 0, :3, :3], position), None
 
     def _roots(self, frames: Tensor) -> Tensor:
         """Poses (B, 3, 4, 4) of the root link."""
@@ -259,7 +247,7 @@ class CompactModel(nn.Module):
             widths = effector.limit(outlook.openings[:, 0] + slide)
             for k, pose in zip(effector.sliding, effector.links(root, widths).unbind(1), strict=True):
                 moved[k] = pose
-        turn = _twist(before, root)[:, 3:]
+        turn = twist(before, root)[:, 3:]
         for k in self._free:
             middle = state.clouds[:, state.layout.entities[k].slice].mean(1)  # canonical (B, 3)
             centre = (now[:, k, :3, :3] @ middle.unsqueeze(-1)).squeeze(-1) + now[:, k, :3, 3]
@@ -278,22 +266,16 @@ class CompactModel(nn.Module):
         return max((b for _, b in self.control.vectors), default=self.action_size)
 
 
-def _twist(before: Tensor, after: Tensor) -> Tensor:
-    """World-frame twist (B, 6) between two poses (B, 4, 4) of a link."""
-    turn = motion_vector(after[:, :3, :3] @ before[:, :3, :3].transpose(-1, -2))
-    return torch.cat([after[:, :3, 3] - before[:, :3, 3], turn], -1)
-
-
 def _carried(point: Tensor, before: Tensor, after: Tensor) -> Tensor:
     """Displacement (B, 3) of a world-frame point (B, 3) that moves with a link from pose to pose (B, 4, 4)."""
     local = ((point - before[:, :3, 3]).unsqueeze(1) @ before[:, :3, :3]).squeeze(1)
     return (after[:, :3, :3] @ local.unsqueeze(-1)).squeeze(-1) + after[:, :3, 3] - point
 
 
-def _turn_about(pose: Tensor, middle: Tensor, centre: Tensor, twist: Tensor) -> Tensor:
+def _turn_about(pose: Tensor, middle: Tensor, centre: Tensor, move: Tensor) -> Tensor:
     """Pose (B, 4, 4) moved by a twist (B, 6) about its canonical point ``middle``, which lies at ``centre``."""
-    rotation = rotation_from_vector(twist[:, 3:]) @ pose[:, :3, :3]
-    return make_pose(rotation, centre + twist[:, :3] - (rotation @ middle.unsqueeze(-1)).squeeze(-1))
+    rotation = rotation_from_vector(move[:, 3:]) @ pose[:, :3, :3]
+    return make_pose(rotation, centre + move[:, :3] - (rotation @ middle.unsqueeze(-1)).squeeze(-1))
 
 
 def _gate(logit: Tensor) -> Tensor:

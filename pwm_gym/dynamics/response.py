@@ -12,16 +12,20 @@ from torch import Tensor, nn
 from pwm_gym.scene import Layout
 from pwm_gym.scene.se3 import matrix_from_pose7, motion_vector
 
-__all__ = ["EndEffector", "LinearResponse", "twists"]
+__all__ = ["EndEffector", "LinearResponse", "twist", "twists"]
 
 _RIDGE = 1e-6  # of the mean squared feature: only to keep the normal equations solvable
 
 
+def twist(before: Tensor, after: Tensor) -> Tensor:
+    """World-frame twist (..., 6) from one pose (..., 4, 4) of an entity to the next: metres and radians."""
+    turn = after[..., :3, :3] @ before[..., :3, :3].transpose(-1, -2)
+    return torch.cat([after[..., :3, 3] - before[..., :3, 3], motion_vector(turn)], -1)
+
+
 def twists(frames: Tensor) -> Tensor:
     """World-frame twists (..., 2, 6) at t and t-1 of one entity's poses (..., 3, 4, 4): metres and radians a step."""
-    now, before = frames[..., :2, :, :], frames[..., 1:, :, :]
-    turn = now[..., :3, :3] @ before[..., :3, :3].transpose(-1, -2)
-    return torch.cat([now[..., :3, 3] - before[..., :3, 3], motion_vector(turn)], -1)
+    return twist(frames[..., 1:, :, :], frames[..., :2, :, :])
 
 
 class EndEffector(nn.Module):
@@ -89,9 +93,11 @@ class LinearResponse(nn.Module):
 
     def forward(self, frames: Tensor, openings: Tensor, action: Tensor) -> tuple[Tensor, Tensor]:
         """Root twist (B, 6) in the world frame and opening speeds (B, S) of the next step."""
-        root = self.root_features(frames, action) @ self.root_weight
-        slide = self.slide_features(openings, action) @ self.slide_weight
-        return root, slide
+        return self.root_features(frames, action) @ self.root_weight, self.slide(openings, action)
+
+    def slide(self, openings: Tensor, action: Tensor) -> Tensor:
+        """Opening speeds (B, S) of the next step at openings (B, 3, S) under actions (B, A), metres a step."""
+        return self.slide_features(openings, action) @ self.slide_weight
 
     def confine(self, position: Tensor) -> Tensor:
         """Root position (B, 3) within the arm's reach: distance from the base's axis and height, as ever observed."""

@@ -26,6 +26,7 @@ class ArmKinematics(nn.Module):
     lower: Tensor
     upper: Tensor
     rest: Tensor
+    damping: Tensor
 
     def __init__(self, arm: SerialArm) -> None:
         super().__init__()
@@ -37,6 +38,7 @@ class ArmKinematics(nn.Module):
             "lower": torch.tensor(arm.lower),
             "upper": torch.tensor(arm.upper),
             "rest": torch.tensor(arm.rest),
+            "damping": _DAMPING * torch.eye(6),
         }
         for name, value in tables.items():
             self.register_buffer(name, value, persistent=False)
@@ -86,20 +88,19 @@ class ArmKinematics(nn.Module):
             if k == iterations:
                 break
             jacobian = self.jacobian(frames, tool)
-            gram = jacobian @ jacobian.transpose(-1, -2) + _DAMPING * torch.eye(6).to(joints)
+            gram = jacobian @ jacobian.transpose(-1, -2) + self.damping.to(joints)
             step = jacobian.transpose(-1, -2) @ torch.linalg.solve(gram, error.unsqueeze(-1))
             joints = joints + step.squeeze(-1)
         return joints, error[..., :3].norm(dim=-1)
 
-    def target(self, joints: Tensor, action: Tensor) -> Tensor:
-        """Root link's pose (..., 4, 4) that an action (..., A) asks for at joint angles (..., J)."""
-        root = self(joints)
+    def target(self, root: Tensor, action: Tensor) -> Tensor:
+        """Root link's pose (..., 4, 4) that an action (..., A) asks for when it is at ``root`` (..., 4, 4)."""
         units = action[..., 3:6]
         angles = self.arm.rotation_unit * units / units.norm(dim=-1, keepdim=True).clamp_min(1.0)
         turns = rotation_from_vector(torch.diag_embed(angles))  # about x, y and z
         rotation = turns[..., 0, :, :] @ turns[..., 1, :, :] @ turns[..., 2, :, :] @ root[..., :3, :3]
         tool = self._tool(root) + self.arm.position_unit * action[..., :3]
-        return make_pose(rotation, tool - rotation @ self.tool.to(joints))
+        return make_pose(rotation, tool - rotation @ self.tool.to(root))
 
     def limit(self, joints: Tensor) -> Tensor:
         """Joint angles (..., J) within their limits."""

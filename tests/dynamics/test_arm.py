@@ -28,8 +28,7 @@ def response(transitions):
 
 def predicted(response, batch):
     joints = batch.joints[..., :7]
-    command = response.command(joints[:, 0], batch.actions[:, 0])
-    return joints[:, 0] + response(joints, command, response.kinematics(joints[:, 0]))
+    return joints[:, 0] + response(joints, batch.actions[:, 0], response.kinematics(joints[:, 0])).step
 
 
 def test_the_fitted_joints_go_where_the_simulators_go(response, transitions):
@@ -43,18 +42,17 @@ def test_a_command_out_of_reach_leaves_the_arm_where_it_is(response):
     joints = torch.tensor([ARM.rest])
     action = torch.zeros(1, 7)
     action[:, 0] = 1.0
-    assert response.command(joints, action).abs().max() > 0.01
+    assert response.command(joints, action, response.kinematics(joints)).abs().max() > 0.01
     stretched = joints.clone()
     stretched[:, [1, 3, 5]] = torch.tensor([1.2, -0.4, 1.6])  # the tool is 0.85 m away
-    assert torch.equal(response.command(stretched, action), torch.zeros(1, 7))
+    assert torch.equal(response.command(stretched, action, response.kinematics(stretched)), torch.zeros(1, 7))
 
 
 def test_rest_without_a_command_is_rest(response):
     joints = torch.tensor(ARM.rest).expand(2, 3, 7)
-    command = response.command(joints[:, 0], torch.zeros(2, 7))
     root = response.kinematics(joints[:, 0])
     response.net[-1].bias.fill_(0.3)  # whatever the network says
-    step = response(joints, command, root)
+    step = response(joints, torch.zeros(2, 7), root).step
     response.net[-1].bias.zero_()
     assert step.abs().max() < 1e-5
 

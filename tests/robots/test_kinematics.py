@@ -62,12 +62,12 @@ def test_tells_by_how_much_a_goal_out_of_reach_is_missed(kinematics):
 def test_an_action_asks_for_a_change_of_the_tools_pose(kinematics):
     joints = angles(4)
     action = torch.zeros(4, 7)
-    torch.testing.assert_close(kinematics.target(joints, action), kinematics(joints), atol=1e-6, rtol=0)
+    torch.testing.assert_close(kinematics.target(kinematics(joints), action), kinematics(joints), atol=1e-6, rtol=0)
     action[:, 0] = 0.5
-    moved = kinematics.target(joints, action) - kinematics(joints)
+    moved = kinematics.target(kinematics(joints), action) - kinematics(joints)
     torch.testing.assert_close(moved[:, :3, 3], torch.tensor([[0.05, 0, 0]]).expand(4, 3), atol=1e-6, rtol=0)
     action[:, 0], action[:, 3:6] = 0.0, torch.tensor([3.0, 0.0, 4.0])  # longer than 1: clipped
-    before, after = kinematics(joints), kinematics.target(joints, action)
+    before, after = kinematics(joints), kinematics.target(kinematics(joints), action)
     turn = after[:, :3, :3] @ before[:, :3, :3].transpose(1, 2)
     expected = rotation_from_vector(torch.tensor([-0.06, 0, 0])) @ rotation_from_vector(torch.tensor([0, 0, -0.08]))
     torch.testing.assert_close(turn, expected.expand(4, 3, 3), atol=1e-6, rtol=0)
