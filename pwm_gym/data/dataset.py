@@ -109,6 +109,7 @@ class Windows:
         self._joints = torch.cat([torch.as_tensor(e.joints) for e in dataset.episodes])
         self._actions = torch.cat([torch.as_tensor(np.r_[e.actions, e.actions[-1:]]) for e in dataset.episodes])
         self._clouds = torch.as_tensor(dataset.clouds)
+        self.layout = dataset.layout
         lengths = np.array([len(e) for e in dataset.episodes])
         starts = np.concatenate([[0], np.cumsum(lengths + 1)[:-1]])
         self._first = torch.as_tensor(np.repeat(starts, lengths + 1))  # of each frame's episode
@@ -159,6 +160,7 @@ class Windows:
         history = torch.maximum(frames[:, None] - torch.arange(3), self._first[frames][:, None])
         ahead = frames[:, None] + torch.arange(horizon + 1)
         return Batch(
+            layout=self.layout,
             clouds=self._clouds.expand(len(frames), -1, -1),
             frames=self._poses[history],
             actions=self._actions[ahead[:, :-1]],

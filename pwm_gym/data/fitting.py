@@ -15,7 +15,7 @@ from torch import nn
 
 from pwm_gym.data.dataset import Dataset, Windows, load_split, read_header
 from pwm_gym.data.episodes import KINDS
-from pwm_gym.data.partial import PartialWindows, visibility
+from pwm_gym.data.partial import PartialWindows, visible_split
 from pwm_gym.dynamics.checkpoint import SceneBank, save_checkpoint, use_device
 from pwm_gym.dynamics.registry import build_model
 from pwm_gym.dynamics.training import TrainConfig, has_state, train
@@ -76,20 +76,21 @@ def fit(config: FitConfig, training: TrainConfig, validate: Validate, progress: 
     splits = [load_split(folder, "train", task.name) for folder in config.data]
     dataset = _chosen(_joined(splits), config)
     held_out = load_split(config.data[0], "validation", task.name)
-    seen: dict[str, Any] = {"train": None, "validation": None}
+    windows, held_out_seen = Windows(dataset, config.boost), None
     if config.view not in _VIEWS:
         raise unknown_name("view", config.view, _VIEWS)
     if config.view == "partial":
         if config.episodes or config.kinds or len(config.data) > 1:
             raise DatasetError("view='partial' trains on all episodes of one data set; expected no choice of them")
-        seen = _visible(config, task, {"train": dataset, "validation": held_out})
-    windows = Windows(dataset, config.boost)
-    if seen["train"] is not None:
-        windows = PartialWindows(dataset, seen["train"], boost=config.boost)
+        folder = config.data[0]
+        windows = PartialWindows(dataset, visible_split(folder, "train", task, dataset), boost=config.boost)
+        held_out_seen = visible_split(folder, "validation", task, held_out)
+    begun, cpu = time.perf_counter(), time.process_time()
+    torch.set_num_threads(training.threads)  # before the fits: sums depend on it, and a resumed run must find the same
     torch.manual_seed(training.seed)
     model = build_model(config.model, task.layout, task.action_size, task.control, config.settings)
     if not has_state(config.out):  # a resumed run reads what was fitted
-        _fit_response(model, windows, config.arm_steps)
+        _fit_response(model, dataset, config.arm_steps)
     checkpoint = config.out / "checkpoint"
     description: dict[str, Any] = {
         "config": json.loads(json.dumps(asdict(training), default=str)),
@@ -97,23 +98,14 @@ def fit(config: FitConfig, training: TrainConfig, validate: Validate, progress: 
         "windows_boost": config.boost,
     }
     bank = scene_bank(task, dataset)
-    begun, cpu = time.perf_counter(), time.process_time()
 
     def save(trained: nn.Module, metrics: dict[str, float]) -> None:
         description["minutes"] = (time.perf_counter() - begun) / 60
         description["cpu_minutes_a_process"] = (time.process_time() - cpu) / 60
         save_checkpoint(checkpoint, trained, config.model, bank, description, {"validation": metrics})
 
-    train(model, windows, training, config.out, lambda m: validate(m, held_out, seen["validation"]), save, progress)
+    train(model, windows, training, config.out, lambda m: validate(m, held_out, held_out_seen), save, progress)
     return checkpoint
-
-
-def _visible(config: FitConfig, task: Task, splits: dict[str, Dataset]) -> dict[str, Any]:
-    """Visible points of each split, kept beside the (first) data set."""
-    simulator = task.simulator()
-    meshes = simulator.meshes()
-    simulator.close()
-    return {k: visibility(d, meshes, cache=config.data[0] / f"visible-{k}.npz") for k, d in splits.items()}
 
 
 def _joined(splits: list[Dataset]) -> Dataset:
@@ -134,10 +126,12 @@ def _chosen(dataset: Dataset, config: FitConfig) -> Dataset:
     return dataset
 
 
-def _fit_response(model: nn.Module, windows: Windows, arm_steps: int) -> None:
+def _fit_response(model: nn.Module, dataset: Dataset, arm_steps: int) -> None:
     """The parts of a model that are fitted on every training transition before it is trained on rollouts."""
     response, arm = getattr(model, "response", None), getattr(model, "arm", None)
-    every = windows.transitions()
+    if response is None and arm is None:
+        return
+    every = Windows(dataset).transitions()
     if response is not None:
         response.fit(every.frames, every.actions[:, 0], every.following[:, 0])
     if arm is not None:

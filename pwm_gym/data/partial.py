@@ -12,16 +12,26 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
-from pwm_gym.data.dataset import Dataset, Windows
+from pwm_gym.data.dataset import Dataset, Windows, load_split
 from pwm_gym.dynamics.training import Batch
 from pwm_gym.errors import DatasetError
-from pwm_gym.scene.se3 import matrix_from_pose7
+from pwm_gym.scene import Layout
+from pwm_gym.scene.se3 import matrix_from_pose7, transform
 from pwm_gym.sensing import DepthCamera, RayCaster
+from pwm_gym.tasks import Task
 
 if TYPE_CHECKING:
     import trimesh
 
-__all__ = ["CAMERA", "PARTIAL_POINTS", "PartialWindows", "choose_visible", "visibility"]
+__all__ = [
+    "CAMERA",
+    "PARTIAL_POINTS",
+    "PartialWindows",
+    "choose_visible",
+    "partial_clouds",
+    "visibility",
+    "visible_split",
+]
 
 CAMERA = DepthCamera.looking((1.15, -0.55, 0.65), (0.6, 0.0, 0.15), fov=50.0)
 """In front of a table-top robot, to its right, looking down at its work area."""
@@ -58,19 +68,19 @@ def visibility(
             raise DatasetError(f"{cache} tells of {len(seen)} frames; expected {frames}")
         return seen
     caster = RayCaster(meshes, dataset.layout)
+    clouds = torch.as_tensor(dataset.clouds, dtype=torch.float64)
     rows = []
     for episode in tqdm(dataset.episodes, disable=not progress, desc="visibility", leave=False):
-        for poses in matrix_from_pose7(torch.as_tensor(episode.poses, dtype=torch.float64)).numpy():
-            placed = [
-                dataset.clouds[e.slice] @ pose[:3, :3].T + pose[:3, 3]
-                for e, pose in zip(dataset.layout, poses, strict=True)
-            ]
-            rows.append(caster.visible(camera, np.concatenate(placed), poses))
+        poses = matrix_from_pose7(torch.as_tensor(episode.poses, dtype=torch.float64))
+        placed = _posed(clouds.expand(len(poses), -1, -1), dataset.layout, poses)
+        rows += [caster.visible(camera, x, at) for x, at in zip(placed.numpy(), poses.numpy(), strict=True)]
     seen = np.stack(rows)
     if cache is not None:
         cache.parent.mkdir(parents=True, exist_ok=True)
-        with cache.open("wb") as file:
+        temporary = cache.with_name(f".{cache.name}")  # so that a killed run leaves no half of it
+        with temporary.open("wb") as file:
             np.savez_compressed(file, visible=np.packbits(seen, axis=1))
+        temporary.replace(cache)
     return seen
 
 
@@ -83,6 +93,36 @@ def choose_visible(seen: Tensor, count: int, generator: torch.Generator) -> Tens
     order = (seen.float() + 0.5 * torch.rand(seen.shape, generator=generator)).argsort(1, descending=True)
     place = torch.arange(count) % seen.sum(1, keepdim=True)
     return order.gather(1, place)
+
+
+def visible_split(folder: Path, split: str, task: Task, dataset: Dataset | None = None) -> np.ndarray:
+    """Points (F, N) of a data set's split that :data:`CAMERA` sees; worked out once, and kept beside the data set.
+
+    Args:
+        folder: of the data set.
+        split: of it.
+        task: gives the meshes, where they are needed.
+        dataset: the split, where it is loaded already.
+    """
+    cache = folder / f"visible-{split}.npz"
+    meshes: Mapping[str, trimesh.Trimesh] = {}
+    if not cache.exists():
+        simulator = task.simulator()
+        meshes = simulator.meshes()
+        simulator.close()
+    return visibility(dataset or load_split(folder, split, task.name), meshes, cache=cache)
+
+
+def partial_clouds(
+    dataset: Dataset, seen: Tensor, generator: torch.Generator, points: int = PARTIAL_POINTS
+) -> tuple[Layout, Tensor]:
+    """Canonical points (B, n, 3) drawn among those ``seen`` (B, N), ``points`` of each entity, and their layout."""
+    layout, clouds = dataset.layout.truncate(points), torch.as_tensor(dataset.clouds)
+    parts = [
+        clouds[full.start + choose_visible(seen[:, full.slice], e.points, generator)]
+        for full, e in zip(dataset.layout, layout, strict=True)
+    ]
+    return layout, torch.cat(parts, 1)
 
 
 class PartialWindows(Windows):
@@ -100,26 +140,20 @@ class PartialWindows(Windows):
 
     def __init__(self, dataset: Dataset, seen: np.ndarray, points: int = PARTIAL_POINTS, boost: float = 1.0) -> None:
         super().__init__(dataset, boost)
-        self._seen, self._points, self._full = torch.as_tensor(seen), points, dataset.layout
-        self.layout = dataset.layout.truncate(points)
+        self._dataset, self._seen, self._points = dataset, torch.as_tensor(seen), points
 
     def at(self, frames: Tensor, horizon: int, generator: torch.Generator) -> Batch:
         """The windows (B,) that begin at ``frames``; ``generator`` draws the points."""
         whole = super().at(frames, horizon, generator)
-        targets = []
+        observed = []
         for h in range(horizon):
-            canonical = self._partial(frames + 1 + h, generator)
-            parts = [
-                canonical[:, e.slice] @ pose[:, :3, :3].transpose(1, 2) + pose[:, None, :3, 3]
-                for e, pose in zip(self.layout, whole.following[:, h].unbind(1), strict=True)
-            ]
-            targets.append(torch.cat(parts, 1))
-        return replace(whole, clouds=self._partial(frames, generator), observed=torch.stack(targets, 1))
+            _, canonical = partial_clouds(self._dataset, self._seen[frames + 1 + h], generator, self._points)
+            observed.append(_posed(canonical, self.layout.truncate(self._points), whole.following[:, h]))
+        layout, clouds = partial_clouds(self._dataset, self._seen[frames], generator, self._points)
+        return replace(whole, layout=layout, clouds=clouds, observed=torch.stack(observed, 1))
 
-    def _partial(self, frames: Tensor, generator: torch.Generator) -> Tensor:
-        """Canonical points (B, n, 3) that are visible in ``frames`` (B,)."""
-        seen, parts = self._seen[frames], []
-        for full, e in zip(self._full, self.layout, strict=True):
-            index = full.start + choose_visible(seen[:, full.slice], e.points, generator)
-            parts.append(self._clouds[index])
-        return torch.cat(parts, 1)
+
+def _posed(canonical: Tensor, layout: Layout, poses: Tensor) -> Tensor:
+    """Points (B, n, 3) of entities at ``poses`` (B, E, 4, 4), in the base's frame."""
+    parts = [transform(poses[:, i], canonical[:, e.slice]) for i, e in enumerate(layout)]
+    return torch.cat(parts, 1)

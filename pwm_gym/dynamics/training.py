@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -34,6 +34,8 @@ _LEVER = 0.5  # metres: how far a joint moves the end effector, per radian
 class Batch:
     """Windows of H steps."""
 
+    layout: Layout
+    """Of the clouds."""
     clouds: Tensor
     """Canonical points (B, N, 3)."""
     frames: Tensor
@@ -51,15 +53,12 @@ class Batch:
 
     def to(self, device: str) -> Batch:
         """The same windows on ``device``."""
-        values: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(self)}
-        moved: dict[str, Any] = {name: None if x is None else x.to(device) for name, x in values.items()}
-        return Batch(**moved)
+        moved: dict[str, Any] = {k: v.to(device) for k, v in vars(self).items() if isinstance(v, Tensor)}
+        return replace(self, **moved)
 
-    def state(self, layout: Layout) -> RigidState:
+    def state(self) -> RigidState:
         """The state that the window begins with."""
-        if self.clouds.shape[1] != layout.points:  # a camera's, with as many points of each entity
-            layout = layout.truncate(self.clouds.shape[1] // len(layout))
-        return RigidState(layout, self.clouds, self.frames, self.joints)
+        return RigidState(self.layout, self.clouds, self.frames, self.joints)
 
 
 class Batches(Protocol):
@@ -156,33 +155,37 @@ class _RolloutLoss(nn.Module):
 
 
 def rollout_loss(model: WorldModel, batch: Batch, config: TrainConfig) -> Tensor:
-    """Mean Huber loss over H predicted steps, on per-point velocities (and positions), in ``loss_scale`` units."""
-    state: State = model.prepare(batch.state(model.layout))
+    """Mean loss over H predicted steps, in ``loss_scale`` units; ``config.loss`` says which."""
+    state: State = model.prepare(batch.state())
     if isinstance(state, RigidState):
-        read = max(config.loss_points, getattr(getattr(model, "config", None), "points", 0))
-        state = state.coarsen(state.layout.truncate(read))
+        state = state.coarsen(state.layout.truncate(_points_in_loss(model, config)))
     target = RigidState(state.layout, state.clouds, batch.frames)
     weight = _point_weights(state.layout, config.object_weight, batch.frames.device)
     terms: list[Tensor] = []
     points, truth = state.points(), target.points()
-    truths = (x.unbind(1) for x in (batch.actions, batch.following, batch.following_joints))
-    for action, poses, joints in zip(*truths, strict=True):
-        state, target = model.step(state, action), target.advance(poses)
+    for h, action in enumerate(batch.actions.unbind(1)):
+        state, target = model.step(state, action), target.advance(batch.following[:, h])
         next_points, next_truth = state.points(), target.points()
         if config.loss == "hybrid":
-            seen = next_truth if batch.observed is None else batch.observed[:, len(terms)]
-            terms.append(_hybrid(next_points, seen) / config.loss_scale)
-            continue
-        velocity_error = (next_points - points) - (next_truth - truth)
-        term = _huber(velocity_error, config, weight)
-        if config.position_weight:
-            term = term + config.position_weight * _huber(next_points - next_truth, config, weight)
-        if isinstance(state, RigidState) and state.joints is not None and config.joint_weight:
-            angles = state.joints[:, 0]
-            term = term + config.joint_weight * _huber(_LEVER * (angles - joints[:, : angles.shape[1]]), config)
+            seen = next_truth if batch.observed is None else batch.observed[:, h]
+            term = _hybrid(next_points, seen) / config.loss_scale
+        else:
+            term = _huber((next_points - points) - (next_truth - truth), config, weight)
+            if config.position_weight:
+                term = term + config.position_weight * _huber(next_points - next_truth, config, weight)
+            if config.joint_weight and isinstance(state, RigidState) and state.joints is not None:
+                angles = state.joints[:, 0]
+                error = angles - batch.following_joints[:, h, : angles.shape[1]]
+                term = term + config.joint_weight * _huber(_LEVER * error, config)
         terms.append(term)
         points, truth = next_points, next_truth
     return torch.stack(terms).mean()
+
+
+def _points_in_loss(model: WorldModel, config: TrainConfig) -> int:
+    """Points of each entity that a rollout carries: enough for the loss and for what the model reads (0: all)."""
+    read = getattr(getattr(model, "config", None), "points", config.loss_points)
+    return max(config.loss_points, read) if read else 10**9
 
 
 def _point_weights(layout: Layout, object_weight: float, device: torch.device) -> Tensor:

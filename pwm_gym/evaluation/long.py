@@ -105,13 +105,11 @@ def error_curves(model: WorldModel, dataset: Dataset, every: int = 10, progress:
     horizon = rollouts.poses.shape[1]
     reported = [n for n in LENGTHS if n <= horizon]
     steps = np.unique([*range(every, horizon + 1, every), *reported])
-    truth = rollouts.truth
+    truth = rollouts.true_states()
     distances = np.empty((len(rollouts.episodes), len(steps)))
     for m in tqdm(range(len(rollouts.episodes)), disable=not progress, desc="score", leave=False):
-        for k, step in enumerate(steps):
-            state = rollouts.states[m, step - 1]
-            true = type(state)(state.layout, state.clouds, truth[m, step - 1].expand(3, -1, -1, -1))  # type: ignore[call-arg]
-            distances[m, k] = chamfer(state.points().numpy(), true.points().numpy())
+        predicted, true = (s[m, steps - 1].points().numpy() for s in (rollouts.states, truth))
+        distances[m] = [chamfer(a, b) for a, b in zip(predicted, true, strict=True)]
     positions = {
         e.name: np.percentile(1e3 * position_errors(rollouts, i).numpy(), _QUARTILES, axis=0)
         for i, e in enumerate(dataset.layout)

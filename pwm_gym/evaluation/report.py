@@ -18,7 +18,7 @@ from pwm_gym.data.episodes import KINDS
 from pwm_gym.dynamics.model import WorldModel
 from pwm_gym.evaluation.metrics import chamfer, pearson
 from pwm_gym.evaluation.rollouts import OBSERVED, Rollouts, position_errors, predict, rotation_errors
-from pwm_gym.scene import RigidState, State
+from pwm_gym.scene import State
 from pwm_gym.tasks import Task
 
 __all__ = ["SPLITS", "STEPS", "evaluate_rollouts"]
@@ -85,23 +85,12 @@ def _score(rollouts: Rollouts, task: Task, every: int, progress: bool) -> _Score
     with ThreadPoolExecutor(torch.get_num_threads()) as pool:
         for k in tqdm(range(0, count, _CHUNK), disable=not progress, desc="score", leave=False):
             part = slice(k, k + _CHUNK)
-            truth = _true_states(rollouts, part)
+            truth = rollouts.true_states(part)
             predicted = rollouts.states[part]
             places = [(m, h) for m, n in enumerate(rollouts.lengths[part]) for h in range(every - 1, n, every)]
             _fill_distances(distances[:, part], predicted, truth, places, pool.map)
             correlations[:, part] = _correlations(rollouts, part, predicted, truth, task)
     return _Scores(*distances, *correlations)
-
-
-def _true_states(rollouts: Rollouts, part: slice) -> RigidState:
-    """True states (M, H); velocities of the first two steps count from the first true pose."""
-    truth = rollouts.truth[part]
-    before = torch.cat([truth[:, :1], truth[:, :-1]], 1)
-    earlier = torch.cat([before[:, :1], before[:, :-1]], 1)
-    frames = torch.stack([truth, before, earlier], 2)
-    dataset = rollouts.dataset
-    clouds = torch.as_tensor(dataset.clouds).expand(*frames.shape[:2], -1, -1)
-    return RigidState(dataset.layout, clouds, frames)
 
 
 def _fill_distances(

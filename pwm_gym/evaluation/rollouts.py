@@ -11,7 +11,7 @@ from torch import Tensor
 
 from pwm_gym.data.dataset import Dataset
 from pwm_gym.data.episodes import KINDS, Episode
-from pwm_gym.data.partial import PARTIAL_POINTS, choose_visible
+from pwm_gym.data.partial import partial_clouds
 from pwm_gym.dynamics.model import WorldModel
 from pwm_gym.scene import Layout, PointState, RigidState, State, batch_state, stack
 from pwm_gym.scene.se3 import matrix_from_pose7, rotation_angle
@@ -45,6 +45,14 @@ class Rollouts:
     def mask(self) -> Tensor:
         """Bool (M, H): steps that exist."""
         return torch.arange(self.poses.shape[1]) < torch.as_tensor(self.lengths)[:, None]
+
+    def true_states(self, part: slice = slice(None)) -> RigidState:
+        """True states (M, H) of some episodes; velocities of the first two steps count from the first true pose."""
+        truth = self.truth[part]
+        before = torch.cat([truth[:, :1], truth[:, :-1]], 1)
+        earlier = torch.cat([before[:, :1], before[:, :-1]], 1)
+        clouds = torch.as_tensor(self.dataset.clouds).expand(*truth.shape[:2], -1, -1)
+        return RigidState(self.dataset.layout, clouds, torch.stack([truth, before, earlier], 2))
 
 
 @torch.no_grad()
@@ -81,18 +89,10 @@ def _starting_clouds(dataset: Dataset, seen: np.ndarray | None) -> tuple[Layout,
     """Canonical points (M, n, 3) that each predicted episode starts with, and their layout."""
     lengths = np.array([len(e) for e in dataset.episodes])
     long = lengths > OBSERVED - 1
-    clouds = torch.as_tensor(dataset.clouds)
     if seen is None:
-        return dataset.layout, clouds.expand(int(long.sum()), -1, -1)
+        return dataset.layout, torch.as_tensor(dataset.clouds).expand(int(long.sum()), -1, -1)
     third = (np.cumsum(lengths + 1) - lengths - 1 + OBSERVED - 1)[long]
-    layout = dataset.layout.truncate(PARTIAL_POINTS)
-    generator = torch.Generator().manual_seed(0)
-    visible = torch.as_tensor(seen[third])
-    parts = [
-        clouds[full.start + choose_visible(visible[:, full.slice], e.points, generator)]
-        for full, e in zip(dataset.layout, layout, strict=True)
-    ]
-    return layout, torch.cat(parts, 1)
+    return partial_clouds(dataset, torch.as_tensor(seen[third]), torch.Generator().manual_seed(0))
 
 
 def _frames(episode: Episode, horizon: int) -> Tensor:

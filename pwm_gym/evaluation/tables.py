@@ -6,10 +6,11 @@ minutes. Each piece (a row and a seed) keeps its result in a file, so that a kil
 
 from __future__ import annotations
 
+import hashlib
 import json
 import multiprocessing as mp
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,7 @@ import torch
 
 from pwm_gym.data import FitConfig, fit, load_split
 from pwm_gym.data.episodes import write_atomically
-from pwm_gym.data.partial import visibility
+from pwm_gym.data.partial import visible_split
 from pwm_gym.dynamics import load_checkpoint
 from pwm_gym.dynamics.training import TrainConfig
 from pwm_gym.errors import unknown_name
@@ -146,9 +147,11 @@ def run_table(name: str, data: Path, out: Path, task: str = "PickCube", workers:
     if name not in TABLES:
         raise unknown_name("table", name, TABLES)
     table = TABLES[name]
-    missing = [p for p in _pieces(table, data, out, task) if not p.result.exists()]
-    if any(p.row.view == "partial" for p in missing):
-        _see(task, data)
+    pieces = [_Piece(row, seed, data, out, task) for row in table.rows for seed in row.seeds]
+    missing = [p for p in pieces if not p.result.exists()]
+    if any(p.row.view == "partial" for p in missing):  # before several processes want it
+        for split in ("train", "validation", "test"):
+            visible_split(data, split, get_task(task))
     if workers <= 1 or len(missing) <= 1:
         for piece in missing:
             _run(piece)
@@ -156,8 +159,11 @@ def run_table(name: str, data: Path, out: Path, task: str = "PickCube", workers:
         with mp.get_context("spawn").Pool(min(workers, len(missing))) as pool:
             for _ in pool.imap_unordered(_run, missing):
                 pass
-    results = [(p.row, json.loads(p.result.read_text())) for p in _pieces(table, data, out, task)]
-    return {"caption": table.caption, "rows": [_joined(row, results) for row in table.rows]}
+    rows = []
+    for row in table.rows:
+        results = [json.loads(p.result.read_text()) for p in pieces if p.row is row]
+        rows.append(_joined(row, results, get_task(task).object))
+    return {"caption": table.caption, "rows": rows}
 
 
 @dataclass(frozen=True)
@@ -165,28 +171,31 @@ class _Piece:
     row: Row
     seed: int
     data: Path
-    folder: Path
+    out: Path
     task: str
+
+    @property
+    def folder(self) -> Path:
+        """Named after all that decides the result, so that tables share equal pieces and changed ones are new."""
+        row = self.row
+        recipe = repr(
+            (
+                self.task,
+                str(self.data),
+                row.model,
+                sorted(row.settings.items()),
+                row.view,
+                row.training,
+                row.episodes,
+                row.kinds,
+                self.seed,
+            )
+        )
+        return self.out / f"{row.model}-{hashlib.sha256(recipe.encode()).hexdigest()[:12]}"
 
     @property
     def result(self) -> Path:
         return self.folder / "result.json"
-
-
-def _pieces(table: Table, data: Path, out: Path, task: str) -> Iterator[_Piece]:
-    for row in table.rows:
-        for seed in row.seeds:
-            slug = "".join(c if c.isalnum() else "-" for c in row.name.lower())
-            yield _Piece(row, seed, data, out / f"{slug}-{seed}", task)
-
-
-def _see(task: str, data: Path) -> None:
-    """Visible points of every split, kept beside the data set before several processes want them."""
-    simulator = get_task(task).simulator()
-    meshes = simulator.meshes()
-    simulator.close()
-    for split in ("train", "validation", "test"):
-        visibility(load_split(data, split, task), meshes, cache=data / f"visible-{split}.npz")
 
 
 def _run(piece: _Piece) -> None:
@@ -208,10 +217,9 @@ def _run(piece: _Piece) -> None:
     model = load_checkpoint(fit(config, training, validation_metrics, progress=False), piece.task).model
     minutes = (time.perf_counter() - begun) / 60
     test = load_split(piece.data, "test", piece.task)
-    seen = visibility(test, {}, cache=piece.data / "visible-test.npz") if row.view == "partial" else None
+    seen = visible_split(piece.data, "test", task, test) if row.view == "partial" else None
     table = evaluate_rollouts(model, task, test, every=10, progress=False, seen=seen)
     result = {
-        "row": row.name,
         "seed": piece.seed,
         "minutes": minutes,
         "sample_steps": sum(h * steps * batch for h, steps, batch in training.phases),
@@ -221,19 +229,17 @@ def _run(piece: _Piece) -> None:
     write_atomically(piece.result, json.dumps(result, default=float).encode())
 
 
-def _joined(row: Row, results: list[tuple[Row, dict[str, Any]]]) -> dict[str, Any]:
-    """Mean and spread over the seeds of a row."""
-    runs = [result for other, result in results if other is row]
+def _joined(row: Row, runs: list[dict[str, Any]], moved: str) -> dict[str, Any]:
+    """Mean and spread over the seeds of a row; ``moved`` is the object whose error counts."""
     splits = {}
     for split in runs[0]["splits"]:
         values = {
             "chamfer_l1": [r["splits"][split]["chamfer_l1"] for r in runs],
             "reward_correlation": [r["splits"][split]["reward_correlation"] for r in runs],
         }
-        task_object = list(runs[0]["splits"][split]["entities"])[-1]
-        errors = [r["splits"][split]["entities"][task_object]["position_mm"] for r in runs]
+        errors = [r["splits"][split]["entities"][moved]["position_mm"] for r in runs]
         if all("60" in e for e in errors):
-            values[f"{task_object}_at_60_mm"] = [e["60"]["mean"] for e in errors]
+            values[f"{moved}_at_60_mm"] = [e["60"]["mean"] for e in errors]
         splits[split] = {k: {"mean": float(np.mean(v)), "spread": float(np.std(v))} for k, v in values.items()}
     return {
         "row": row.name,

@@ -66,7 +66,7 @@ def test_windows_follow_the_points_that_are_seen_at_their_beginning(train_split,
     batch = windows.sample(torch.Generator().manual_seed(0), 5, 3)
     n = 4 * PARTIAL_POINTS
     assert batch.clouds.shape == (5, n, 3) and batch.observed.shape == (5, 3, n, 3)
-    state = batch.state(train_split.layout)
+    state = batch.state()
     assert state.layout.points == n
     truth = state.advance(batch.following[:, 0]).points()
     gap = torch.cdist(batch.observed[:, 0], truth).amin(2)
@@ -81,7 +81,7 @@ def test_the_hybrid_loss_needs_no_correspondences(train_split, seen):
     config = TrainConfig(loss="hybrid", loss_scale=1.0, loss_points=PARTIAL_POINTS)
     still = build_model("still", train_split.layout, 7, Control())
     loss = rollout_loss(still, batch, config)
-    state = batch.state(train_split.layout)
+    state = batch.state()
     expected = []
     for k in range(2):
         gaps = torch.cdist(state.points(), batch.observed[:, k])

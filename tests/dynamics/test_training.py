@@ -68,7 +68,7 @@ def test_the_loss_is_the_papers_huber_on_velocities(windows):
     config = TrainConfig.paper()
     still = build_model("still", LAYOUT, 7, CONTROL)
     batch = windows.sample(torch.Generator().manual_seed(0), 4, 5)
-    state = batch.state(still.layout)
+    state = batch.state()
     expected = []
     for k in range(5):
         after = state.advance(batch.following[:, k])

@@ -25,14 +25,28 @@ def test_a_table_has_each_row_with_its_seeds_and_goes_on_where_it_was(tiny, data
     assert (table["caption"], row["row"], row["seeds"], row["paper, other data"]) == ("A tiny table", "One", 2, "0.009")
     assert row["sample_steps"] == 16 and row["parameters"] > 100
     assert row["splits"]["all"]["chamfer_l1"]["mean"] > 0
-    result = tmp_path / "one-1" / "result.json"
+    results = {json.loads(p.read_text())["seed"]: p for p in tmp_path.glob("compact-*/result.json")}
+    assert set(results) == {0, 1}
+    result = results[1]
     kept = json.loads(result.read_text())
     kept["splits"]["all"]["chamfer_l1"] = 1.0
     result.write_text(json.dumps(kept))
-    (tmp_path / "one-0" / "result.json").unlink()
+    results[0].unlink()
     again = run_table("tiny", data_folder, tmp_path)["rows"][0]
     first = row["splits"]["all"]["chamfer_l1"]["mean"] * 2 - kept["splits"]["all"]["chamfer_l1"]
     assert first < 1.0 < again["splits"]["all"]["chamfer_l1"]["mean"] * 2
+
+
+def test_a_changed_row_is_trained_anew(tiny, data_folder, tmp_path, monkeypatch):
+    one = replace(tiny, seeds=(0,))
+    monkeypatch.setitem(TABLES, "one", Table("", (one,)))
+    monkeypatch.setitem(TABLES, "same", Table("", (replace(one, name="Another name"),)))
+    monkeypatch.setitem(TABLES, "other", Table("", (replace(one, episodes=4),)))
+    counts = []
+    for table in ("one", "same", "other"):
+        run_table(table, data_folder, tmp_path)
+        counts.append(len(list(tmp_path.glob("*/result.json"))))
+    assert counts == [1, 1, 2]
 
 
 def test_rows_of_a_table_have_one_budget():
