@@ -7,14 +7,28 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor
 
-__all__ = ["centre", "finger_gaps", "near_and_shut", "pinched", "speed", "tool_centre", "width_between"]
+__all__ = [
+    "centre",
+    "finger_gaps",
+    "near_and_shut",
+    "pad_gaps",
+    "pinched",
+    "speed",
+    "spin",
+    "tool_centre",
+    "width_between",
+]
 
 Points = Mapping[str, Tensor]
 
 _TOOL_RATIO = 0.355  # (tool - fingers) / (fingers - hand) along the Panda hand's axis, of its collision meshes
 _CLOSE = 0.025  # the paper's grasp distance
-# Metres. ManiSkill's pads sink 1.6 to 2.8 mm into an object that they hold; a model may see it 2 mm nearer to one pad.
-_DEEPEST, _LOOSEST, _PRESSED = -0.008, 0.001, -0.001
+# Metres. ManiSkill's pads sink 0.3 mm (half shut) to 2.8 mm into an object that they hold, and 8 mm into the width of a
+# corner; a model may see it 2 mm nearer to one pad.
+_DEEPEST, _LOOSEST, _PRESSED = -0.008, 0.001, -0.0005
+_PAD_HALF_WIDTH, _PAD_END = 0.014, 0.012  # of the fingers' pads: to either side of the tool centre, and beyond it
+_HELD = 0.036  # how far from an object's centre its corner can be held
+_HALF_SHUT = 0.2  # a gripper commanded below this shuts on an object of 4 cm
 
 
 def centre(points: Points, name: str) -> Tensor:
@@ -33,12 +47,31 @@ def finger_gaps(points: Points, name: str) -> Tensor:
 
     Zero: touching. Slightly negative: pressing. More: the finger is past that side, beside or above the object.
     """
-    left, right = points["left_gripper"], points["right_gripper"]
+    along = (points[name] @ _fingers_axis(points)).squeeze(-1)
+    return _gaps(points, along.amin(-1), along.amax(-1))
+
+
+def pad_gaps(points: Points, name: str) -> Tensor:
+    """Gaps (B, 2) as :func:`finger_gaps`, to that part of the object which is between the fingers' pads.
+
+    Huge where no part is.
+    """
     axis = _fingers_axis(points)
-    along = (points[name] @ axis).squeeze(-1)
-    left_gap = (left @ axis).squeeze(-1).amin(-1) - along.amax(-1)
-    right_gap = along.amin(-1) - (right @ axis).squeeze(-1).amax(-1)
-    return torch.stack([left_gap, right_gap], -1)
+    tool, object_points = tool_centre(points), points[name]
+    forward = tool - centre(points, "hand")
+    forward = (forward / forward.norm(dim=-1, keepdim=True).clamp_min(1e-6)).unsqueeze(-1)
+    sideways = torch.cross(axis, forward, dim=-2)
+    offset = object_points - tool.unsqueeze(-2)
+    between = ((offset @ sideways).abs() <= _PAD_HALF_WIDTH) & (offset @ forward <= _PAD_END)
+    along, between = (object_points @ axis).squeeze(-1), between.squeeze(-1)
+    return _gaps(points, along.where(between, 1e3).amin(-1), along.where(between, -1e3).amax(-1))
+
+
+def _gaps(points: Points, lowest: Tensor, highest: Tensor) -> Tensor:
+    """Gaps (B, 2) of the left and the right finger to an object that reaches from ``lowest`` to ``highest`` (B,)."""
+    axis = _fingers_axis(points)
+    left, right = ((points[finger] @ axis).squeeze(-1) for finger in ("left_gripper", "right_gripper"))
+    return torch.stack([left.amin(-1) - highest, lowest - right.amax(-1)], -1)
 
 
 def width_between(points: Points, name: str) -> Tensor:
@@ -60,12 +93,21 @@ def near_and_shut(points: Points, action: Tensor, name: str) -> Tensor:
 
 
 def pinched(points: Points, action: Tensor, name: str) -> Tensor:
-    """Bool (B,): near and shut, and the fingers stopped at the object's sides, pressing together, with it between."""
-    gaps = finger_gaps(points, name)
-    touching = ((gaps >= _DEEPEST) & (gaps <= _LOOSEST)).all(-1)
-    return touching & (gaps.sum(-1) <= _PRESSED) & near_and_shut(points, action, name)
+    """Bool (B,): a shutting gripper, its fingers stopped by that part of the object which is between them."""
+    gaps = pad_gaps(points, name)
+    touching = ((gaps >= _DEEPEST) & (gaps <= _LOOSEST)).all(-1) & (gaps.sum(-1) <= _PRESSED)
+    near = (tool_centre(points) - centre(points, name)).norm(dim=-1) <= _HELD
+    return touching & near & (action[..., -1] < _HALF_SHUT)
 
 
 def speed(velocity: Points, name: str) -> Tensor:
     """Speed (B,) of an entity's centre, metres a step."""
     return velocity[name].mean(-2).norm(dim=-1)
+
+
+def spin(points: Points, velocity: Points, name: str) -> Tensor:
+    """Turn (B,) of an entity about the vertical axis, radians a step: least squares over its points."""
+    offset = (points[name] - points[name].mean(-2, keepdim=True))[..., :2]
+    moved = (velocity[name] - velocity[name].mean(-2, keepdim=True))[..., :2]
+    torque = (offset[..., 0] * moved[..., 1] - offset[..., 1] * moved[..., 0]).sum(-1)
+    return torque / offset.square().sum((-1, -2)).clamp_min(1e-9)

@@ -38,13 +38,16 @@ class MPPIConfig:
     finest: tuple[float, ...] = (0.2, 0.2, 0.2, 1.0, 1.0, 0.2, 1.0)
     """The samples' noise is scaled from 1 down to this, for each dimension or one for all, so that some search wide and
     some refine; a gripper's is not, since only wide noise shuts it."""
+    stops: int = 10
+    """Samples that follow the last plan for 0, 1, 2, ... steps and then stand still, the gripper as it was: noise finds
+    no such sequence, and a task may ask for one at its end. At most the horizon and a quarter of the samples."""
     iterations: int = 1
     """Rounds of sampling around the improved mean."""
 
     @classmethod
     def paper(cls, horizon: int = 10) -> MPPIConfig:
         """The paper's table; sigma 5 on actions in [-1, 1] saturates most samples."""
-        return cls(200, horizon, 64, 0.7, relative=False, sigma=(5.0,), correlation=(0.0,), finest=(1.0,))
+        return cls(200, horizon, 64, 0.7, relative=False, sigma=(5.0,), correlation=(0.0,), finest=(1.0,), stops=0)
 
 
 class MPPI:
@@ -69,6 +72,8 @@ class MPPI:
                 raise PwmGymError(f"{name}={getattr(config, name)}; expected at least 1")
         if not config.temperature > 0.0:
             raise PwmGymError(f"temperature={config.temperature}; expected more than 0")
+        if config.stops < 0:
+            raise PwmGymError(f"stops={config.stops}; expected 0 or more")
         if not 1 <= config.elites <= config.samples:
             raise PwmGymError(f"elites={config.elites}; expected 1 to samples={config.samples}")
         self.config, self.action_size = config, action_size
@@ -76,6 +81,7 @@ class MPPI:
         scale = torch.linspace(0.0, 1.0, config.samples, device=device).unsqueeze(-1)  # of each sample's noise
         finest = torch.tensor(config.finest, device=device)
         self._sigma = (sigma * (1.0 - scale * (1.0 - finest))).unsqueeze(1)  # (S, 1, A)
+        self._stops = min(config.stops, config.horizon, config.samples // 4)
         self._keep = torch.tensor(config.correlation, device=device)
         self._fresh = (1.0 - self._keep.square()).sqrt()
         self._mean: Tensor | None = None  # (B, H, A)
@@ -109,14 +115,20 @@ class MPPI:
         return torch.cat([self._mean[:, 1:], self._mean[:, -1:]], 1)
 
     def _sample(self, mean: Tensor, generator: torch.Generator) -> Tensor:
-        """Sequences (B, S, H, A) around ``mean``; the last is the mean itself."""
+        """Sequences (B, S, H, A) around ``mean``; the last is the mean itself, and those before it stop early."""
         c = self.config
         shape = (len(mean), c.samples, c.horizon, self.action_size)
         noise = torch.randn(shape, generator=generator, device=mean.device)
         for h in range(1, c.horizon):
             noise[:, :, h] = self._keep * noise[:, :, h - 1] + self._fresh * noise[:, :, h]
         noise[:, -1] = 0.0
-        return (mean.unsqueeze(1) + self._sigma * noise).clamp(-1.0, 1.0)
+        actions = (mean.unsqueeze(1) + self._sigma * noise).clamp(-1.0, 1.0)
+        for step in range(self._stops):
+            stopping = actions[:, -2 - step]
+            stopping[:] = mean
+            stopping[:, step:, :-1] = 0.0
+            stopping[:, step:, -1] = mean[:, max(step - 1, 0), -1:]
+        return actions
 
     def _average(self, actions: Tensor, costs: Tensor) -> Tensor:
         """Elites' mean (B, H, A), weighted by exp(-cost / temperature)."""

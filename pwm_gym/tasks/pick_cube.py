@@ -42,7 +42,11 @@ def _success(points: Points, info: Info) -> Tensor:
 
 
 def _joint_speed(points: Points, info: Info) -> Tensor:
-    """Speed (B,) in rad/s of the arm's fastest joint, as the hand's velocity tells it."""
+    """Speed (B,) in rad/s of the arm's fastest joint, as the hand's motion tells it.
+
+    The second, fourth and sixth joint move the hand in its upright plane, the first one moves it sideways, and the last
+    one makes the turn that the first one does not.
+    """
     position = terms.centre(points, "hand")
     velocity = _RATE * terms.centre(info["velocity"], "hand")
     radius = position[..., :2].norm(dim=-1).clamp_min(1e-3)
@@ -50,7 +54,9 @@ def _joint_speed(points: Points, info: Info) -> Tensor:
     radial = (velocity[..., :2] * outward).sum(-1)
     sideways = velocity[..., 1] * outward[..., 0] - velocity[..., 0] * outward[..., 1]
     bending = torch.stack([radial, velocity[..., 2]], -1) @ _JOINT_SPEEDS.to(velocity).T
-    return torch.maximum(bending.abs().amax(-1), sideways.abs() / radius)
+    base = sideways / radius
+    wrist = _RATE * terms.spin(points, info["velocity"], "hand") - base
+    return torch.stack([bending.abs().amax(-1), base.abs(), wrist.abs()]).amax(0)
 
 
 def _goal_distance(points: Points, info: Info) -> Tensor:

@@ -9,6 +9,7 @@ from pwm_gym.dynamics.response import EndEffector
 from pwm_gym.scene import RigidState, batch_state
 from pwm_gym.scene.se3 import make_pose
 from pwm_gym.tasks import get_task
+from pwm_gym.tasks.pick_cube import _joint_speed
 
 TASK = get_task("PickCube")
 HAND, CUBE = TASK.layout.index("hand"), TASK.layout.index("cube")
@@ -53,6 +54,28 @@ def test_pinched_is_maniskills_grasp_on_expert_episodes(train_split):
         assert (found == episode.grasped).mean() > 0.93
 
 
+def test_pinched_is_maniskills_grasp_on_practice_episodes(train_split):
+    practice = [e for e in train_split.episodes if KINDS[e.kind] == "practice"]
+    agree = []
+    for episode in practice:
+        points, info = view(train_split, episode)
+        agree.append(terms.pinched(points, info["action"], "cube").numpy() == episode.grasped)
+    assert len(practice) >= 2
+    assert np.concatenate(agree).mean() > 0.95
+
+
+def test_the_joint_speed_is_the_arms_fastest_joints(train_split):
+    """The constants behind it belong to the task's postures; the joints' true motion tells whether they hold."""
+    found, truth = [], []
+    for episode in experts(train_split):
+        points, info = view(train_split, episode)
+        found.append(_joint_speed(points, info).numpy())
+        truth.append(20.0 * np.abs(np.diff(episode.joints[:, :7], axis=0)).max(1))
+    found, truth = np.concatenate(found), np.concatenate(truth)
+    assert np.corrcoef(found, truth)[0, 1] > 0.95
+    assert np.median(np.abs(found - truth)) < 0.04
+
+
 @pytest.fixture
 def grip(train_split):
     """``grip(opening, offset)``: the hand pointing down, its tool centre at ``offset`` from a cube in the air."""
@@ -95,6 +118,32 @@ def test_a_real_grasp_is_pinched(grip):
 def test_pinched_is_not_fooled(grip, opening, offset):
     points, info = grip(opening, offset)
     assert not terms.pinched(points, info["action"], "cube").item()
+
+
+@pytest.mark.parametrize(("sideways", "held"), [(0.0, True), (0.026, True), (0.034, False)])
+def test_an_edge_of_the_cube_is_pinched_until_the_pads_are_past_it(grip, sideways, held):
+    points, info = grip(PRESSED, (sideways, 0.0, 0.0))
+    assert terms.pinched(points, info["action"], "cube").item() == held
+
+
+def test_a_half_shut_gripper_pinches(grip):
+    points, info = grip(0.0195, (0.0, 0.0, 0.0))
+    half = torch.zeros_like(info["action"])
+    assert terms.pinched(points, half, "cube").item()
+    assert not terms.near_and_shut(points, half, "cube").item()
+
+
+def test_the_spin_is_the_turn_about_the_vertical():
+    rng = np.random.default_rng(0)
+    before = rng.normal(size=(5, 40, 3))
+    turns = np.linspace(-0.05, 0.05, 5)
+    after = np.stack(
+        [p @ Rotation.from_rotvec([0, 0, a]).as_matrix().T + [0.1, 0, 0.2] for p, a in zip(before, turns, strict=True)]
+    )
+    points, velocity = torch.as_tensor(after), torch.as_tensor(after - before)
+    torch.testing.assert_close(
+        terms.spin({"hand": points}, {"hand": velocity}, "hand"), torch.as_tensor(turns), atol=1e-3, rtol=0
+    )
 
 
 def test_shut_above_the_cube_is_near_but_not_pinched_and_pays_nothing(grip):

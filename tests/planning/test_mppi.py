@@ -6,7 +6,9 @@ import torch
 from pwm_gym.errors import PwmGymError
 from pwm_gym.planning import MPPI, MPPIConfig
 
-SMALL = MPPIConfig(samples=128, horizon=8, elites=16, temperature=0.1, sigma=(0.4,), finest=(0.2,), correlation=(0.5,))
+SMALL = MPPIConfig(
+    samples=128, horizon=8, elites=16, temperature=0.1, sigma=(0.4,), finest=(0.2,), correlation=(0.5,), stops=0
+)
 TARGET = torch.tensor([0.4, -0.3])
 
 
@@ -50,6 +52,7 @@ def test_the_papers_table():
     expected = {"samples": 200, "elites": 64, "temperature": 0.7, "sigma": (5.0,), "horizon": 20, "iterations": 1}
     assert {k: paper[k] for k in expected} == expected
     assert not paper["relative"] and paper["correlation"] == (0.0,) and paper["finest"] == (1.0,)
+    assert paper["stops"] == 0
     assert MPPIConfig.paper().horizon == 10
 
 
@@ -121,6 +124,28 @@ def test_correlation_of_steps():
     assert torch.corrcoef(steps.T)[0, 2].item() == pytest.approx(0.64, abs=0.04)
 
 
+def test_some_samples_stop_after_each_number_of_steps():
+    seen = []
+    planner = MPPI(replace(SMALL, sigma=(0.4, 0.4, 0.7), finest=(0.5,), stops=3, samples=16, elites=4), 3)
+    planner.plan(point_mass(), generator())
+    planner.plan(lambda a: (seen.append(a), point_mass()(a))[1], generator(1))
+    *_, third, second, first, mean = seen[0][0]
+    assert (mean[:, :2] != 0).any(1).all()
+    assert (first[:, :2] == 0).all() and (first[:, 2] == mean[0, 2]).all()
+    for steps, sample in ((1, second), (2, third)):
+        assert torch.equal(sample[:steps], mean[:steps])
+        assert (sample[steps:, :2] == 0).all() and (sample[steps:, 2] == mean[steps - 1, 2]).all()
+    assert (seen[0][0, :-4, :, :2] != 0).any(-1).all()
+
+
+@pytest.mark.parametrize(("stops", "moving"), [(8, 0), (0, 8)])
+def test_stops_find_rest_where_every_motion_costs_the_same(stops, moving):
+    planner = MPPI(replace(SMALL, stops=stops, temperature=1e-3), 2)
+    planner.plan(point_mass(), generator())
+    plan = planner.plan(lambda a: (a[..., :1] != 0).float().sum((-1, -2)), generator(1))
+    assert (plan[0, :, 0] != 0).sum() == moving
+
+
 def test_one_elite_is_the_cheapest_sample():
     seen = []
 
@@ -183,6 +208,7 @@ def test_another_batch_size_forgets_the_last_plan():
         ({"finest": ()}, "finest has 0 values; expected 1 or 2"),
         ({"correlation": (0.1, 0.2, 0.3)}, "correlation has 3 values; expected 1 or 2"),
         ({"elites": 129}, "elites=129; expected 1 to samples=128"),
+        ({"stops": -1}, "stops=-1; expected 0 or more"),
         ({"elites": 0}, "elites=0; expected 1 to samples=128"),
     ],
 )
