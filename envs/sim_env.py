@@ -91,7 +91,6 @@ class SimEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
         self._full_clouds = sample_clouds(self.simulator.meshes(), self.task.layout, self.task.cloud_seed)
         self._scene: Scene | None = None
         self._poses: deque[np.ndarray] = deque(maxlen=3)  # newest first
-        self._joints: deque[np.ndarray] = deque(maxlen=3)
         self._action = np.zeros(self.task.action_size, np.float32)
         self._renderer: SceneRenderer | None = None
 
@@ -118,15 +117,13 @@ class SimEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
         """
         if self._scene is None:
             raise PwmGymError("the environment has no scene yet; call reset() first")
-        _, speeds = self.simulator.joints()
         return Scene(
             task=self.task.name,
             layout=self.layout,
             clouds=self._scene.clouds,
             poses=np.stack(self._poses),
             goal=self._scene.goal,
-            joints=np.stack(self._joints),
-            joint_velocities=speeds,
+            joints=self.simulator.joints(),
             last_action=self._action.copy(),
         )
 
@@ -147,7 +144,6 @@ class SimEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
             self.simulator.reset(drawn)
             poses = self.simulator.poses()
             self._poses = deque([poses] * 3, maxlen=3)
-            self._joints = deque([self.simulator.joints()[0]] * 3, maxlen=3)
             clouds = resample_clouds(self._full_clouds, self.task.layout, self.layout)
             goal = self.simulator.goal()
             self._scene = Scene(self.task.name, self.layout, clouds, np.stack([poses] * 3), goal)
@@ -163,7 +159,6 @@ class SimEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
         self.simulator.restore(scene)
         self._scene, self._action = scene, action
         self._poses = deque(scene.poses, maxlen=3)
-        self._joints = deque(np.asarray(scene.joints), maxlen=3)
 
     def step(self, action: np.ndarray) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
         """One control step under an action (A,) in [-1, 1]."""
@@ -171,7 +166,6 @@ class SimEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
         self._action = checked.numpy().copy()
         outcome = self.simulator.step(self._action)
         self._poses.appendleft(self.simulator.poses())
-        self._joints.appendleft(self.simulator.joints()[0])
         judgement = self._judge()
         info = self._info(judgement, outcome)
         return self._observe(), float(judgement.reward[0]), outcome.success, False, info

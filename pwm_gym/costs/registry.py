@@ -167,6 +167,7 @@ def cost_info(state: State, action: Tensor, goal: Tensor, grasp: Function) -> tu
         "goal": goal,
         "action": action,
         "velocity": EntityPoints(state, velocity=True),
+        "joints": getattr(state, "joints", None),
         "extra": {"goal_pos": goal},
     }
     info["grasped"] = grasp(points, info)
@@ -204,5 +205,6 @@ def _element(info: Info, b: int) -> dict[str, Any]:
         "action": info["action"][b],
         "grasped": bool(info["grasped"][b]),
         "velocity": {n: info["velocity"][n][b] for n in info["velocity"]},
+        "joints": None if info["joints"] is None else info["joints"][b],
         "extra": {"goal_pos": info["extra"]["goal_pos"][b].tolist()},
     }

@@ -184,14 +184,14 @@ def record_episode(simulator: Simulator, seed: int, make: Callable[[int], Behavi
     """One episode of at most ``limit`` steps from ``seed``; at least three, so that it has both velocities."""
     simulator.reset(seed)
     behaviour = make(seed)
-    poses, joints, actions, outcomes = [simulator.poses()], [simulator.joints()[0]], [], []
+    poses, joints, actions, outcomes = [simulator.poses()], [simulator.joints()], [], []
     for step in range(limit):
         action = behaviour.act(simulator)
         outcome = simulator.step(action)
         actions.append(action)
         outcomes.append(outcome)
         poses.append(simulator.poses())
-        joints.append(simulator.joints()[0])
+        joints.append(simulator.joints())
         if behaviour.done(outcome.success) and step >= 2:
             break
     return Episode(

@@ -52,7 +52,7 @@ class Dataset:
             clouds=self.clouds,
             poses=episode.poses[frames].astype(np.float64),
             goal=episode.goal,
-            joints=episode.joints[frames],
+            joints=episode.joints[step],
             last_action=episode.actions[step - 1] if step else None,
         )
 
@@ -165,6 +165,6 @@ class Windows:
             frames=self._poses[history],
             actions=self._actions[ahead[:, :-1]],
             following=self._poses[ahead[:, 1:]],
-            joints=self._joints[history],
+            joints=self._joints[frames],
             following_joints=self._joints[ahead[:, 1:]],
         )

@@ -30,7 +30,7 @@ class Episode:
     poses: np.ndarray
     """(T + 1, E, 7) float32: xyz metres, quaternion wxyz."""
     joints: np.ndarray
-    """(T + 1, J) float32."""
+    """(T + 1, 2, J) float32: positions and velocities, radians (metres) and these a step."""
     actions: np.ndarray
     """(T, A) float32."""
     rewards: np.ndarray

@@ -159,5 +159,5 @@ def scene_bank(task: Task, dataset: Dataset) -> SceneBank:
         dataset.clouds,
         np.stack([e.poses[0] for e in chosen]),
         np.stack([e.goal for e in chosen]),
-        np.stack([e.joints[0] for e in chosen]),
+        np.stack([e.joints[0, 0] for e in chosen]),
     )

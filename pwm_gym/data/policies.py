@@ -187,21 +187,21 @@ class OnPolicy:
 
     def __init__(self, task: Task, agent: Agent, clouds: np.ndarray, seed: int, linger: int = 5) -> None:
         self._task, self._agent, self._clouds, self._linger = task, agent, clouds, linger
-        self._seen: deque[tuple[np.ndarray, np.ndarray]] = deque(maxlen=3)  # poses and joints, newest first
+        self._seen: deque[np.ndarray] = deque(maxlen=3)  # poses, newest first
         self._last: np.ndarray | None = None
         agent.reset(seed)
 
     def act(self, simulator: Simulator) -> np.ndarray:
         """Next action (A,)."""
-        self._seen.appendleft((simulator.poses(), simulator.joints()[0]))
-        poses, joints = (np.stack([self._seen[min(k, len(self._seen) - 1)][i] for k in range(3)]) for i in range(2))
+        self._seen.appendleft(simulator.poses())
+        poses = np.stack([self._seen[min(k, len(self._seen) - 1)] for k in range(3)])
         scene = Scene(
             self._task.name,
             self._task.layout,
             self._clouds,
             poses,
             simulator.goal(),
-            joints,
+            simulator.joints(),
             last_action=self._last,
         )
         self._last = self._agent.act(scene).astype(np.float32)

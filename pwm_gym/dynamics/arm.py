@@ -1,7 +1,8 @@
 """How an arm's joints respond to actions: its controller's kinematics are known, its drives' dynamics are fitted.
 
-The joints' next step is linear in their two last steps and in the way that is left to the controller's solution of
-inverse kinematics, plus a small learned remainder (torque limits, inertia, gravity's load) that vanishes at rest.
+The joints' next positions and velocities are linear in their velocities and in the way that is left to the
+controller's solution of inverse kinematics, plus a small learned remainder (inertia, torque limits) that vanishes at
+rest. Velocities belong to the state: where commands change from step to step, past positions do not tell them.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ class ArmOutlook:
     """An arm's next step as fitted, and what a model needs to correct it."""
 
     step: Tensor
-    """Of the joints (B, J), radians."""
+    """Of the joints' positions, and their velocities after it (B, 2, J): radians, radians a step."""
     features: Tensor
     """What it follows from, and itself (B, K), of order 1; the same for a turned base."""
     stirred: Tensor
@@ -46,20 +47,22 @@ class ArmResponse(nn.Module):
     """
 
     weight: Tensor
+    braking: Tensor
 
     def __init__(self, arm: SerialArm, width: int = 128) -> None:
         super().__init__()
         self.kinematics = ArmKinematics(arm)
         count = arm.joints
-        self.register_buffer("weight", torch.zeros(3 * count, count))
+        self.register_buffer("weight", torch.zeros(2 * count, 2 * count))
+        self.register_buffer("braking", torch.ones(()))  # velocity at a step's end over its average in the step
         self.net = nn.Sequential(
-            nn.Linear(self.features - count, width),
+            nn.Linear(self.features - 2 * count, width),
             nn.GELU(),
             nn.Linear(width, width),
             nn.GELU(),
             nn.Linear(width, width),
             nn.GELU(),
-            nn.Linear(width, count),
+            nn.Linear(width, 2 * count),
         )
         nn.init.zeros_(self.net[-1].weight)  # type: ignore[arg-type]
         nn.init.zeros_(self.net[-1].bias)  # type: ignore[arg-type]
@@ -70,18 +73,16 @@ class ArmResponse(nn.Module):
         return 9 * self.kinematics.arm.joints + 2
 
     def observe(self, root: Tensor, joints: Tensor | None) -> Tensor:
-        """Joint angles (..., 3, J) behind root poses (..., 3, 4, 4): as given, or by inverse kinematics from rest."""
+        """Joint positions and velocities (..., 2, J) behind root poses (..., 3, 4, 4): given, or solved for."""
         if joints is not None:
             return joints[..., : self.kinematics.arm.joints]
-        found = []
-        start = self.kinematics.rest.expand(*root.shape[:-3], -1)
-        for k in range(3):
-            start, _ = self.kinematics.solve(root[..., k, :, :], start, 20 if k == 0 else _ITERATIONS)
-            found.append(start)
-        return torch.stack(found, -2)
+        rest = self.kinematics.rest.expand(*root.shape[:-3], -1)
+        now, _ = self.kinematics.solve(root[..., 0, :, :], rest, 20)
+        before, _ = self.kinematics.solve(root[..., 1, :, :], now, _ITERATIONS)
+        return torch.stack([now, self.braking * (now - before)], -2)
 
     def forward(self, joints: Tensor, action: Tensor, root: Tensor) -> ArmOutlook:
-        """The next step of angles (B, 3, J) under actions (B, A), with the root link at (B, 4, 4)."""
+        """The next step of joints (B, 2, J) under actions (B, A), with the root link at (B, 4, 4)."""
         return self.respond(joints, self.command(joints[:, 0], action, root), root)
 
     @torch.no_grad()
@@ -93,8 +94,8 @@ class ArmResponse(nn.Module):
         return torch.where(found.unsqueeze(-1), solution - joints, 0.0)
 
     def respond(self, joints: Tensor, command: Tensor, root: Tensor) -> ArmOutlook:
-        """The next step of angles (B, 3, J) under commands (B, J), with the root link at (B, 4, 4)."""
-        moves = _moves(joints, command)
+        """The next step of joints (B, 2, J) under commands (B, J), with the root link at (B, 4, 4)."""
+        moves = torch.cat([command, joints[:, 1]], 1)
         angles = joints[:, 0, 1:]  # the first joint turns the whole arm about the vertical, which changes nothing
         height = root[:, 2, 3:] + root[:, 2, :3] @ self.kinematics.tool.unsqueeze(-1)  # of the tool
         parts = [
@@ -104,7 +105,7 @@ class ArmResponse(nn.Module):
             5.0 * command,
             torch.tanh(3.0 * command),
             torch.tanh(10.0 * command),
-            20.0 * moves[:, command.shape[1] :],
+            20.0 * joints[:, 1],
             torch.tanh(height / 0.02),
             torch.tanh(height / 0.1),
             root[:, 2, :3],
@@ -113,23 +114,25 @@ class ArmResponse(nn.Module):
         size = moves.square().sum(-1, keepdim=True).clamp_min(1e-12).sqrt()
         stirred = torch.tanh(30.0 * (size - _QUIET).clamp_min(0.0))
         step = moves @ self.weight + STEP * stirred * self.net(known)
-        return ArmOutlook(step, torch.cat([known, step / STEP], 1), stirred)
+        return ArmOutlook(step.unflatten(1, (2, -1)), torch.cat([known, step / STEP], 1), stirred)
 
     def fit(self, joints: Tensor, action: Tensor, following: Tensor, steps: int) -> None:
         """Least squares, then gradient descent on the remainder.
 
         Args:
-            joints: angles (B, 3, J) of transitions.
+            joints: positions and velocities (B, 2, J) before transitions.
             action: (B, A).
-            following: angles (B, J) after each.
+            following: the same after each.
             steps: optimiser steps.
         """
         joints, following = (x[..., : self.kinematics.arm.joints] for x in (joints, following))
         root = self.kinematics(joints[:, 0])
         command = self.command(joints[:, 0], action, root)
-        moved = following - joints[:, 0]
-        moves = _moves(joints, command).double()
-        self.weight.copy_(torch.linalg.lstsq(moves, moved.double(), driver="gelsd").solution.float())
+        moved = torch.stack([following[:, 0] - joints[:, 0], following[:, 1]], 1)
+        self.braking.copy_((moved[:, 0] * moved[:, 1]).sum() / moved[:, 0].square().sum())
+        moves = torch.cat([command, joints[:, 1]], 1).double()
+        solution = torch.linalg.lstsq(moves, moved.flatten(1).double(), driver="gelsd").solution
+        self.weight.copy_(solution.float())
         optimizer = torch.optim.AdamW(self.net.parameters(), _FIT_RATE)
         schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, max(1, steps))
         generator = torch.Generator().manual_seed(0)
@@ -141,8 +144,3 @@ class ArmResponse(nn.Module):
             loss.backward()
             optimizer.step()
             schedule.step()
-
-
-def _moves(joints: Tensor, command: Tensor) -> Tensor:
-    """Commands (B, J) and the two last steps of angles (B, 3, J), side by side (B, 3 J)."""
-    return torch.cat([command, (joints[:, :2] - joints[:, 1:]).flatten(1)], 1)

@@ -43,7 +43,7 @@ class SceneBank:
     goals: np.ndarray
     """(M, G) float32."""
     joints: np.ndarray | None = None
-    """(M, J) float32."""
+    """Joint positions (M, J) float32."""
 
     def __len__(self) -> int:
         return len(self.poses)
@@ -51,7 +51,7 @@ class SceneBank:
     def scene(self, index: int) -> Scene:
         """The scene at ``index``, at rest."""
         poses = np.repeat(self.poses[index].astype(np.float64)[None], 3, 0)
-        joints = None if self.joints is None else np.repeat(self.joints[index][None], 3, 0)
+        joints = None if self.joints is None else np.stack([self.joints[index], np.zeros_like(self.joints[index])])
         return Scene(self.task, self.layout, self.clouds, poses, self.goals[index], joints)
 
 

@@ -114,12 +114,12 @@ class CompactModel(nn.Module):
             self.arm_token = nn.Linear(self.arm.features, c.width)
             place = F.one_hot(torch.tensor(effector.root), len(layout)).float().unsqueeze(-1)
             self.register_buffer("arm_place", place, persistent=False)  # (E, 1): 1 at the root link
-            self.arm_head = nn.Linear(c.width, joints)
+            self.arm_head = nn.Linear(c.width, 2 * joints)
             nn.init.zeros_(self.arm_head.weight)
             nn.init.zeros_(self.arm_head.bias)
 
     def prepare(self, state: State) -> RigidState:
-        """Entity poses of ``state`` and the arm's joint angles, each registered or solved for where it has none."""
+        """Entity poses of ``state`` and the arm's joints, each registered or solved for where it has none."""
         if not isinstance(state, RigidState):
             state = RigidState(state.layout, state.clouds, state.history())
         joints = self.arm.observe(self._roots(state.frames), state.joints) if self.arm is not None else None
@@ -141,7 +141,7 @@ class CompactModel(nn.Module):
         assert state.joints is not None, "prepare() the state first"
         now = self._roots(state.frames)[:, 0]
         arm = self.arm(state.joints, action, now)
-        step = twist(now, self.arm.kinematics(state.joints[:, 0] + arm.step))
+        step = twist(now, self.arm.kinematics(state.joints[:, 0] + arm.step[:, 0]))
         return _Outlook(openings, self.response.slide(openings, action), step, arm)
 
     def _tokens(self, state: RigidState, outlook: _Outlook, action: Tensor) -> Tensor:
@@ -159,13 +159,14 @@ class CompactModel(nn.Module):
     def _root(
         self, state: RigidState, outlook: _Outlook, tokens: Tensor, action: Tensor
     ) -> tuple[Tensor, Tensor | None]:
-        """Next pose (B, 4, 4) of the root link, and the arm's joint angles (B, J) where it is known."""
+        """Next pose (B, 4, 4) of the root link, and the arm's joints (B, 2, J) where it is known."""
         token = tokens[:, self.response.effector.root]
         if self.arm is not None and outlook.arm is not None:
             assert state.joints is not None
-            step = outlook.arm.step + STEP * outlook.arm.stirred * self.arm_head(token)
-            joints = self.arm.kinematics.limit(state.joints[:, 0] + step)
-            return self.arm.kinematics(joints), joints
+            learned = self.arm_head(token).unflatten(1, (2, -1))
+            step, velocity = (outlook.arm.step + STEP * outlook.arm.stirred.unsqueeze(1) * learned).unbind(1)
+            angles = self.arm.kinematics.limit(state.joints[:, 0] + step)
+            return self.arm.kinematics(angles), torch.stack([angles, velocity], 1)
         roots = self._roots(state.frames)
         learned = self._world_twists(roots[:, 0], self.head(token)[:, None, 2:]).squeeze(1)
         moved = outlook.twist + _aliveness(twists(roots), action[:, : self._arm_stop()]) * learned

@@ -45,9 +45,9 @@ class Batch:
     following: Tensor
     """True poses (B, H, E, 4, 4) after each action."""
     joints: Tensor
-    """Robot's joint angles (B, 3, J) at t, t-1, t-2."""
+    """Robot's joint positions and velocities (B, 2, J)."""
     following_joints: Tensor
-    """True joint angles (B, H, J) after each action."""
+    """The same (B, H, 2, J) after each action."""
     observed: Tensor | None = None
     """What a camera sees after each action (B, H, n, 3), without correspondences."""
 
@@ -72,7 +72,7 @@ class Batches(Protocol):
 class TrainConfig:
     """How to train. The defaults train the compact model; :meth:`paper` gives the paper's table."""
 
-    phases: tuple[tuple[int, int, int], ...] = ((1, 4000, 512), (5, 1200, 256), (15, 500, 192))
+    phases: tuple[tuple[int, int, int], ...] = ((1, 3000, 512), (5, 900, 256), (15, 400, 192))
     """(horizon H, optimiser steps, batch size), one after the other."""
     learning_rate: float = 1.5e-3
     """AdamW's, at its highest."""
@@ -96,7 +96,7 @@ class TrainConfig:
     position_weight: float = 0.1
     """Weight of the same loss on positions (0 in the paper: velocities alone)."""
     joint_weight: float = 0.1
-    """Weight of the same loss on joint angles (times half a metre), for models that move them."""
+    """Weight of the same loss on joint positions and velocities (times half a metre), for models that move them."""
     object_weight: float = 2.0
     """Weight of the points of entities that the robot does not drive."""
     loss_points: int = 32
@@ -174,8 +174,7 @@ def rollout_loss(model: WorldModel, batch: Batch, config: TrainConfig) -> Tensor
             if config.position_weight:
                 term = term + config.position_weight * _huber(next_points - next_truth, config, weight)
             if config.joint_weight and isinstance(state, RigidState) and state.joints is not None:
-                angles = state.joints[:, 0]
-                error = angles - batch.following_joints[:, h, : angles.shape[1]]
+                error = state.joints - batch.following_joints[:, h, :, : state.joints.shape[-1]]
                 term = term + config.joint_weight * _huber(_LEVER * error, config)
         terms.append(term)
         points, truth = next_points, next_truth

@@ -40,8 +40,7 @@ def chaos_floor(simulator: Simulator, task: Task, dataset: Dataset, progress: bo
     index, rows = task.layout.index(task.object), []
     for episode in tqdm(dataset.episodes, disable=not progress, desc="chaos floor", leave=False):
         simulator.reset(episode.seed)
-        _, speeds = simulator.joints()
-        scene = replace(dataset.scene(episode), joint_velocities=speeds)
+        scene = dataset.scene(episode)
         poses = scene.poses.copy()
         poses[:, index, 0] += _NUDGE
         simulator.restore(replace(scene, poses=poses))

@@ -34,6 +34,8 @@ class Rollouts:
     """Predicted poses (M, H, E, 4, 4)."""
     truth: Tensor
     """True poses (M, H, E, 4, 4)."""
+    joints: Tensor
+    """True joint positions and velocities (M, H, 2, J)."""
     actions: Tensor
     """(M, H, A)."""
     states: State
@@ -52,7 +54,7 @@ class Rollouts:
         before = torch.cat([truth[:, :1], truth[:, :-1]], 1)
         earlier = torch.cat([before[:, :1], before[:, :-1]], 1)
         clouds = torch.as_tensor(self.dataset.clouds).expand(*truth.shape[:2], -1, -1)
-        return RigidState(self.dataset.layout, clouds, torch.stack([truth, before, earlier], 2))
+        return RigidState(self.dataset.layout, clouds, torch.stack([truth, before, earlier], 2), self.joints[part])
 
 
 @torch.no_grad()
@@ -72,17 +74,17 @@ def predict(
     lengths = np.array([len(e) - (OBSERVED - 1) for e in episodes])
     horizon = int(lengths.max())
     frames = torch.stack([_frames(e, horizon) for e in episodes])  # (M, H + 3, E, 4, 4)
-    joints = torch.stack([_joints(e, horizon) for e in episodes])  # (M, H + 3, J)
+    joints = torch.stack([_joints(e, horizon) for e in episodes])  # (M, H + 3, 2, J)
     actions = torch.stack([_actions(e, horizon) for e in episodes])
     layout, clouds = _starting_clouds(dataset, seen)
     chunks = []
     for k in range(0, len(episodes), _CHUNK):
         part = slice(k, k + _CHUNK)
-        start = RigidState(layout, clouds[part], frames[part, :3].flip(1), joints[part, :3].flip(1))
+        start = RigidState(layout, clouds[part], frames[part, :3].flip(1), joints[part, 2])
         oracle = (frames[part, 3:], joints[part, 3:]) if oracle_effector else None
         chunks.append(_roll(model, start, actions[part], oracle))
     states = _joined(chunks)
-    return Rollouts(dataset, episodes, states.poses(), frames[:, 3:], actions, states, lengths)
+    return Rollouts(dataset, episodes, states.poses(), frames[:, 3:], joints[:, 3:], actions, states, lengths)
 
 
 def _starting_clouds(dataset: Dataset, seen: np.ndarray | None) -> tuple[Layout, Tensor]:
@@ -102,7 +104,7 @@ def _frames(episode: Episode, horizon: int) -> Tensor:
 
 
 def _joints(episode: Episode, horizon: int) -> Tensor:
-    """True joint angles (H + 3, J), the last ones repeated past the end."""
+    """True joint positions and velocities (H + 3, 2, J), the last ones repeated past the end."""
     index = np.minimum(np.arange(horizon + OBSERVED), len(episode))
     return torch.as_tensor(episode.joints[index])
 
@@ -113,7 +115,7 @@ def _actions(episode: Episode, horizon: int) -> Tensor:
 
 
 def _roll(model: WorldModel, start: RigidState, actions: Tensor, oracle: tuple[Tensor, Tensor] | None) -> State:
-    """States (B, H); the effector's true poses (B, H, E, 4, 4) and joints (B, H, J) overwrite the predicted ones."""
+    """States (B, H); the effector's true poses (B, H, E, 4, 4) and joints (B, H, 2, J) overwrite the predicted ones."""
     links = torch.tensor([e.effector for e in start.layout])
     state: State = model.prepare(start)
     states = []
@@ -131,8 +133,7 @@ def _overwrite(state: State, truth: Tensor, joints: Tensor, links: Tensor) -> St
     if isinstance(state, RigidState):
         if state.joints is None:
             return rigid
-        known = joints[:, None, : state.joints.shape[-1]]
-        return replace(rigid, joints=torch.cat([known, state.joints[:, 1:]], 1))
+        return replace(rigid, joints=joints[..., : state.joints.shape[-1]])
     assert isinstance(state, PointState)
     kept = torch.as_tensor(links.numpy()[state.layout.ids])[:, None]
     points = torch.where(kept, rigid.points(), state.points())

@@ -22,7 +22,7 @@ from pwm_gym.scene.state import RigidState
 __all__ = ["Scene", "batch_state"]
 
 _REQUIRED = ("clouds", "poses", "goal")
-_FIELDS = (*_REQUIRED, "joints", "joint_velocities", "last_action")
+_FIELDS = (*_REQUIRED, "joints", "last_action")
 
 
 @dataclass(frozen=True)
@@ -41,9 +41,8 @@ class Scene:
     goal: np.ndarray
     """(G,) as the task defines it; for PickCube the cube's goal position in metres."""
     joints: np.ndarray | None = None
-    """Robot joint positions (3, J) at t, t-1, t-2, when they are known; some models and a simulator use them."""
-    joint_velocities: np.ndarray | None = None
-    """Robot joint velocities (J,) at t in radians (metres) per second; a simulator starts from them."""
+    """Robot joint positions and velocities (2, J), when they are known: radians (sliding joints: metres), and these a
+    control step. Some models and a simulator start from them."""
     last_action: np.ndarray | None = None
     """The action (A,) that led here, if any: it tells whether the gripper was commanded shut."""
 
@@ -65,11 +64,8 @@ class Scene:
             "poses": (3, len(layout), 7),
             "goal": (goal_size,),
         }
-        count = 0 if self.joints is None else np.shape(self.joints)[-1]
         if self.joints is not None:
-            shapes["joints"] = (3, count)
-        if self.joint_velocities is not None:
-            shapes["joint_velocities"] = (count,)
+            shapes["joints"] = (2, np.shape(self.joints)[-1])
         for name, shape in shapes.items():
             array = getattr(self, name)
             if not isinstance(array, np.ndarray):

@@ -79,7 +79,7 @@ class RigidState:
     frames: Tensor
     """Poses (..., 3, E, 4, 4) at t, t-1, t-2."""
     joints: Tensor | None = None
-    """Robot's joint angles (..., 3, J) at t, t-1, t-2, where they are known."""
+    """Robot's joint positions and velocities (..., 2, J), where they are known; radians (metres), and these a step."""
 
     @property
     def tensors(self) -> tuple[Tensor, ...]:
@@ -120,10 +120,8 @@ class RigidState:
         return self.frames
 
     def advance(self, poses: Tensor, joints: Tensor | None = None) -> RigidState:
-        """State one step later, at ``poses`` (..., E, 4, 4) and, where they are known, angles ``joints`` (..., J)."""
+        """State one step later, at ``poses`` (..., E, 4, 4) and, where they are known, with ``joints`` (..., 2, J)."""
         frames = torch.cat([poses.unsqueeze(-4), self.frames[..., :2, :, :, :]], -4)
-        if joints is not None and self.joints is not None:
-            joints = torch.cat([joints.unsqueeze(-2), self.joints[..., :2, :]], -2)
         return RigidState(self.layout, self.clouds, frames, joints)
 
     def __getitem__(self, index: Any) -> RigidState:

@@ -75,15 +75,12 @@ class ManiSkillSimulator:
         count = self._robot.max_dof
         if scene.joints.shape[-1] != count:
             raise SceneError(f"scene.joints has {scene.joints.shape[-1]} joints; the simulator's robot has {count}")
-        speeds = scene.joint_velocities
-        if speeds is None:
-            speeds = (scene.joints[0] - scene.joints[1]) * self._base.control_freq
         import sapien
         import torch
 
         self._rebuild(0)
         self._robot.set_qpos(torch.as_tensor(scene.joints[:1], dtype=torch.float32))
-        self._robot.set_qvel(torch.as_tensor(speeds, dtype=torch.float32)[None])
+        self._robot.set_qvel(torch.as_tensor(scene.joints[1:] * self._base.control_freq, dtype=torch.float32))
         goal = _compose(self._world, np.r_[scene.goal, 1, 0, 0, 0])
         self._goal._objs[0].set_pose(sapien.Pose(goal[:3], goal[3:]))
         for i, name in enumerate(scene.layout.names):
@@ -127,9 +124,10 @@ class ManiSkillSimulator:
         world = _pose7(self._goal._objs[0].pose)
         return _relative(self._world, world[None])[0, :3].astype(np.float32)
 
-    def joints(self) -> tuple[np.ndarray, np.ndarray]:
-        """Joint positions and velocities, each (J,) float32, in radians (fingers: metres)."""
-        return self._robot.get_qpos()[0].numpy().copy(), self._robot.get_qvel()[0].numpy().copy()
+    def joints(self) -> np.ndarray:
+        """Joint positions and velocities (2, J) float32: radians (fingers: metres), and these a control step."""
+        speeds = self._robot.get_qvel()[0].numpy() / self._base.control_freq
+        return np.stack([self._robot.get_qpos()[0].numpy(), speeds]).astype(np.float32)
 
     def close(self) -> None:
         """Free the simulator; calling it twice is harmless."""

@@ -53,8 +53,8 @@ class Simulator(Protocol):
     def goal(self) -> np.ndarray:
         """Goal (G,), float32."""
 
-    def joints(self) -> tuple[np.ndarray, np.ndarray]:
-        """Joint positions and velocities, each (J,)."""
+    def joints(self) -> np.ndarray:
+        """Joint positions and velocities (2, J) float32: radians (sliding joints: metres), and these a control step."""
 
     def close(self) -> None:
         """Free the simulator; calling it twice is harmless."""

@@ -52,7 +52,7 @@ def test_episodes_are_whole(data_folder):
     for e in load_split(data_folder, "train").episodes:
         steps = len(e)
         assert steps >= 3
-        assert e.poses.shape == (steps + 1, 4, 7) and e.joints.shape == (steps + 1, 9)
+        assert e.poses.shape == (steps + 1, 4, 7) and e.joints.shape == (steps + 1, 2, 9)
         assert e.actions.shape == (steps, 7) and np.abs(e.actions).max() <= 1
         assert e.rewards.shape == e.success.shape == e.grasped.shape == (steps,)
         np.testing.assert_allclose(np.linalg.norm(e.poses[..., 3:], axis=-1), 1, atol=1e-5)

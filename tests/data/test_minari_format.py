@@ -15,7 +15,7 @@ def _episode(seed: int, steps: int) -> Episode:
     poses = rng.normal(size=(steps + 1, 4, 7)).astype(np.float32)
     return Episode(
         poses=poses,
-        joints=rng.normal(size=(steps + 1, 9)).astype(np.float32),
+        joints=rng.normal(size=(steps + 1, 2, 9)).astype(np.float32),
         actions=rng.uniform(-1, 1, (steps, 7)).astype(np.float32),
         rewards=rng.uniform(0, 1, steps).astype(np.float32),
         success=np.arange(steps) == steps - 1,

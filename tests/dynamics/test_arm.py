@@ -28,14 +28,31 @@ def response(transitions):
 
 def predicted(response, batch):
     joints = batch.joints[..., :7]
-    return joints[:, 0] + response(joints, batch.actions[:, 0], response.kinematics(joints[:, 0])).step
+    step = response(joints, batch.actions[:, 0], response.kinematics(joints[:, 0])).step
+    return torch.stack([joints[:, 0] + step[:, 0], step[:, 1]], 1)
 
 
 def test_the_fitted_joints_go_where_the_simulators_go(response, transitions):
-    truth = transitions.following_joints[:, 0, :7]
-    moved = (truth - transitions.joints[:, 0, :7]).norm(dim=1)
-    error = (predicted(response, transitions) - truth).norm(dim=1)
-    assert error.mean() < 0.1 * moved.mean()
+    truth, before = transitions.following_joints[:, 0, :, :7], transitions.joints[..., :7]
+    error = (predicted(response, transitions) - truth).norm(dim=-1).mean(0)
+    assert error[0] < 0.1 * (truth - before)[:, 0].norm(dim=-1).mean()
+    assert error[1] < 0.15 * truth[:, 1].norm(dim=-1).mean()
+
+
+def test_velocities_tell_what_past_positions_do_not(transitions):
+    """The least squares alone, with and without velocities."""
+    torch.manual_seed(0)
+    following = transitions.following_joints[:, 0]
+    joints = transitions.joints.clone()
+    errors = []
+    for known in (joints, torch.stack([joints[:, 0], torch.zeros_like(joints[:, 1])], 1)):
+        arm = ArmResponse(ARM, width=8)
+        arm.fit(known, transitions.actions[:, 0], following, steps=0)
+        arm.requires_grad_(False)
+        root = arm.kinematics(known[:, 0, :7])
+        step = arm(known[..., :7], transitions.actions[:, 0], root).step[:, 0]
+        errors.append((known[:, 0, :7] + step - following[:, 0, :7]).norm(dim=-1).mean())
+    assert errors[0] < 0.5 * errors[1]
 
 
 def test_a_command_out_of_reach_leaves_the_arm_where_it_is(response):
@@ -49,7 +66,7 @@ def test_a_command_out_of_reach_leaves_the_arm_where_it_is(response):
 
 
 def test_rest_without_a_command_is_rest(response):
-    joints = torch.tensor(ARM.rest).expand(2, 3, 7)
+    joints = torch.stack([torch.tensor(ARM.rest), torch.zeros(7)]).expand(2, 2, 7)
     root = response.kinematics(joints[:, 0])
     response.net[-1].bias.fill_(0.3)  # whatever the network says
     step = response(joints, torch.zeros(2, 7), root).step
@@ -58,15 +75,15 @@ def test_rest_without_a_command_is_rest(response):
 
 
 def test_joints_are_solved_for_where_a_scene_does_not_tell_them(response, train_split):
-    scene = train_split.scene(train_split.episodes[0], 8)
-    state = batch_state([scene])
+    state = batch_state([train_split.scene(e, k) for e in train_split.episodes for k in (8, 16, 24)])
     known = response.observe(state.frames[:, :, 0], state.joints)
     assert torch.equal(known, state.joints[..., :7])
     solved = response.observe(state.frames[:, :, 0], None)
-    roots = response.kinematics(solved)
-    torch.testing.assert_close(roots[..., :3, 3], state.frames[:, :, 0, :3, 3], atol=1e-4, rtol=0)
-    steps = [j[:, :2] - j[:, 1:] for j in (known, solved)]
-    assert (steps[0] - steps[1]).abs().max() < 0.01
+    for k, angles in enumerate((solved[:, 0], solved[:, 0] - solved[:, 1] / response.braking)):
+        roots = response.kinematics(angles)
+        torch.testing.assert_close(roots[..., :3, 3], state.frames[:, k, 0, :3, 3], atol=1e-4, rtol=0)
+    assert 0.7 < response.braking < 0.95  # the controller brakes
+    assert (known - solved)[:, 1].norm() < 0.5 * known[:, 1].norm()
 
 
 @torch.no_grad()
@@ -79,7 +96,7 @@ def test_turning_the_scene_about_the_vertical_turns_the_prediction(response, tra
     state = model.prepare(batch_state([train_split.scene(e, 8) for e in train_split.episodes[:4]]))
     turn = make_pose(rotation_from_vector(torch.tensor([0.0, 0.0, 0.4])), torch.zeros(3))
     joints = state.joints.clone()
-    joints[..., 0] += 0.4
+    joints[:, 0, 0] += 0.4
     turned = type(state)(state.layout, state.clouds, turn @ state.frames, joints)
     action = torch.rand(4, 7, generator=torch.Generator().manual_seed(2)) * 0.6 - 0.3
     action[:, 3:5] = 0.0  # the controller turns about x, then y, then z: not quite a vector

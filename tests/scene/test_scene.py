@@ -21,8 +21,7 @@ def scene() -> Scene:
         clouds=rng.normal(size=(30, 3)).astype(np.float32),
         poses=poses,
         goal=np.array([0.1, 0.2, 0.3], np.float32),
-        joints=rng.normal(size=(3, 9)).astype(np.float32),
-        joint_velocities=np.zeros(9, np.float32),
+        joints=rng.normal(size=(2, 9)).astype(np.float32),
         last_action=np.ones(7, np.float32),
     )
 
@@ -43,7 +42,7 @@ def test_save_and_load_are_exact(scene, tmp_path):
 
 
 def test_what_a_scene_lacks_stays_lacking(scene, tmp_path):
-    bare = replace(scene, joints=None, joint_velocities=None, last_action=None)
+    bare = replace(scene, joints=None, last_action=None)
     bare.save(tmp_path / "scene.npz")
     assert_same(Scene.load(str(tmp_path / "scene.npz")), bare)
 

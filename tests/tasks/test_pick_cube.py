@@ -76,7 +76,7 @@ def test_the_gripper_opens_at_1_and_shuts_at_minus_1(simulator):
     for command, opening in ((-1.0, 0.0), (1.0, 0.08)):
         for _ in range(12):
             simulator.step(TASK.arm.action(np.zeros(3), np.zeros(3), command))
-        assert simulator.joints()[0][7:].sum() == pytest.approx(opening, abs=0.002)
+        assert simulator.joints()[0, 7:].sum() == pytest.approx(opening, abs=0.002)
 
 
 def test_actions_beyond_the_limits_are_clipped():
