@@ -57,7 +57,8 @@ class ModelEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
     limit.
 
     ## Info
-    `success`, `grasped`, `cost_terms` (the cost's weighted terms by name), `reason`.
+    `success`, `grasped`, `cost_terms` (the cost's weighted terms by name), `reason`; from models that tell,
+    `expected_error`: how far each entity's points may be from the truth by now, metres on average.
 
     ## Arguments
     Those of :class:`pwm_gym.envs.ModelVectorEnv` but for `num_envs`, the time limit and autoreset.

@@ -297,14 +297,16 @@ class ModelVectorEnv(EzPickle, gym.vector.VectorEnv[dict[str, np.ndarray], np.nd
             out = {k: v.cpu().numpy().copy() if isinstance(v, Tensor) else v for k, v in values.items()}
             return {**out, **{f"_{k}": every.copy() for k in values}}
 
-        return arrays(
-            {
-                "success": judgement.success,
-                "grasped": judgement.grasped,
-                "cost_terms": arrays(judgement.terms),
-                "reason": np.array(reasons, dtype=object),
-            }
-        )
+        known = {
+            "success": judgement.success,
+            "grasped": judgement.grasped,
+            "cost_terms": arrays(judgement.terms),
+            "reason": np.array(reasons, dtype=object),
+        }
+        error = getattr(self.state, "error", None)
+        if error is not None:
+            known["expected_error"] = arrays(dict(zip(self.layout.names, error.unbind(-1), strict=True)))
+        return arrays(known)
 
     def render(self) -> tuple[np.ndarray, ...] | None:
         """A picture (H, W, 3) uint8 of each environment, with ``render_mode="rgb_array"``."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -154,6 +154,11 @@ class Windows:
     def transitions(self) -> Batch:
         """Every single step of the data set, as windows of one."""
         return self.at(torch.nonzero(self._left > 0).squeeze(1), 1, torch.Generator().manual_seed(0))
+
+    def chunks(self, size: int) -> Iterator[Batch]:
+        """The same, ``size`` at a time."""
+        for frames in torch.nonzero(self._left > 0).squeeze(1).split(size):
+            yield self.at(frames, 1, torch.Generator().manual_seed(0))
 
     def at(self, frames: Tensor, horizon: int, generator: torch.Generator) -> Batch:
         """The windows (B,) that begin at ``frames``; ``generator`` draws what a kind of windows leaves to chance."""

@@ -18,17 +18,18 @@ from pwm_gym.data.episodes import KINDS
 from pwm_gym.data.partial import PartialWindows, visible_split
 from pwm_gym.dynamics.checkpoint import SceneBank, save_checkpoint, use_device
 from pwm_gym.dynamics.registry import build_model
-from pwm_gym.dynamics.training import TrainConfig, has_state, train
+from pwm_gym.dynamics.training import TrainConfig, has_state, leads, train
 from pwm_gym.errors import DatasetError, unknown_name
 from pwm_gym.tasks import Task, get_task
 
-__all__ = ["BANK", "FitConfig", "fit", "scene_bank"]
+__all__ = ["BANK", "FitConfig", "fit", "fit_error", "scene_bank"]
 
 BANK = 256
 """Initial scenes that a checkpoint carries."""
 _BOOST = 3.0  # windows with pushes, drops and releases are drawn this many times as often
 
 Validate = Callable[[Any, Dataset, Any], dict[str, float]]
+_ERROR_CHUNK, _ERROR_POINTS = 2048, 32
 _VIEWS = ("complete", "partial")
 
 
@@ -54,6 +55,8 @@ class FitConfig:
     """Train on these kinds of episodes alone; none given takes all."""
     arm_steps: int = 6000
     """Optimiser steps, before training begins, on the response of a known arm's joints."""
+    error_steps: int = 3000
+    """Optimiser steps, after training, on what the model expects to be its error."""
     boost: float = _BOOST
     """How much likelier windows with an object's own motion are drawn."""
 
@@ -104,7 +107,13 @@ def fit(config: FitConfig, training: TrainConfig, validate: Validate, progress: 
         description["cpu_minutes_a_process"] = (time.process_time() - cpu) / 60
         save_checkpoint(checkpoint, trained, config.model, bank, description, {"validation": metrics})
 
-    train(model, windows, training, config.out, lambda m: validate(m, held_out, held_out_seen), save, progress)
+    def measure(trained: Any) -> dict[str, float]:
+        return validate(trained, held_out, held_out_seen)
+
+    metrics = train(model, windows, training, config.out, measure, save, progress)
+    if leads() and getattr(model, "error", None) is not None:
+        fit_error(model, dataset, config.error_steps)
+        save(model, metrics or measure(model))  # a resumed run may have had nothing left to train
     return checkpoint
 
 
@@ -136,6 +145,22 @@ def _fit_response(model: nn.Module, dataset: Dataset, arm_steps: int) -> None:
         response.fit(every.frames, every.actions[:, 0], every.following[:, 0])
     if arm is not None:
         arm.fit(every.joints, every.actions[:, 0], every.following_joints[:, 0], arm_steps)
+
+
+@torch.no_grad()
+def fit_error(model: Any, dataset: Dataset, steps: int) -> None:
+    """Fit what a trained model expects to be its error, on every transition of ``dataset``."""
+    windows = Windows(dataset)
+    tokens, errors = [], []
+    for batch in windows.chunks(_ERROR_CHUNK):
+        state = model.prepare(batch.state().coarsen(dataset.layout.truncate(_ERROR_POINTS)))
+        action = batch.actions[:, 0]
+        after = model.step(state, action)
+        gaps = (after.points() - after.advance(batch.following[:, 0]).points()).norm(dim=-1)
+        errors.append(torch.stack([gaps[:, e.slice].mean(1) for e in after.layout], 1))
+        tokens.append(model.tokens(state, action))
+    with torch.enable_grad():
+        model.error.fit(torch.cat(tokens), torch.cat(errors), steps)
 
 
 def _describe(config: FitConfig, dataset: Dataset) -> dict[str, Any]:

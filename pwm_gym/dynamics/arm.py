@@ -19,6 +19,8 @@ __all__ = ["STEP", "ArmOutlook", "ArmResponse"]
 
 _UNSOLVED = 1e-3  # metres by which a solution may miss; ManiSkill's solver gives up there, and the arm stays
 _ITERATIONS = 3
+_SURE = 1e-4  # metres; what misses by more is solved for again, in small steps as ManiSkill's solver does
+_CAREFUL = (20, 0.15)  # such steps, and their rate
 STEP = 0.01
 """Radians a step: the unit of what is learned."""
 _QUIET = 1e-4  # radians: below it an arm is at rest
@@ -90,6 +92,10 @@ class ArmResponse(nn.Module):
         """Way (B, J) from angles (B, J) to where the controller drives them: zero where it finds no solution."""
         goal = self.kinematics.target(root, action)
         solution, miss = self.kinematics.solve(goal, joints, _ITERATIONS)
+        hard = ~(miss < _SURE)  # near the edge of the reach, where whole steps overshoot
+        if hard.any():
+            near, _ = self.kinematics.solve(goal[hard], joints[hard], *_CAREFUL)
+            solution[hard], miss[hard] = self.kinematics.solve(goal[hard], near, _ITERATIONS)
         found = torch.isfinite(solution).all(-1) & (miss < _UNSOLVED)
         return torch.where(found.unsqueeze(-1), solution - joints, 0.0)
 

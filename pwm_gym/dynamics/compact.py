@@ -23,6 +23,7 @@ from torch.nn import functional as F
 
 from pwm_gym.dynamics.arm import STEP, ArmOutlook, ArmResponse
 from pwm_gym.dynamics.response import LinearResponse, twist, twists
+from pwm_gym.dynamics.uncertainty import ErrorHead
 from pwm_gym.robots import Control
 from pwm_gym.scene import Layout, RigidState, State
 from pwm_gym.scene.se3 import make_pose, rotation_from_vector
@@ -56,6 +57,8 @@ class CompactConfig:
     """Whether a known arm's joints are what moves; otherwise its root link moves freely."""
     arm_width: int = 128
     """Channels of the network of the joints' response."""
+    uncertain: bool = True
+    """Whether it tells how far off it may be (``RigidState.error``)."""
 
 
 @dataclass(frozen=True)
@@ -117,13 +120,18 @@ class CompactModel(nn.Module):
             self.arm_head = nn.Linear(c.width, 2 * joints)
             nn.init.zeros_(self.arm_head.weight)
             nn.init.zeros_(self.arm_head.bias)
+        self.error = ErrorHead(c.width) if c.uncertain else None
 
     def prepare(self, state: State) -> RigidState:
-        """Entity poses of ``state`` and the arm's joints, each registered or solved for where it has none."""
+        """Entity poses of ``state`` and the arm's joints, each registered or solved for where it has none.
+
+        An expected error starts from zero.
+        """
         if not isinstance(state, RigidState):
             state = RigidState(state.layout, state.clouds, state.history())
         joints = self.arm.observe(self._roots(state.frames), state.joints) if self.arm is not None else None
-        return replace(state, joints=joints)
+        error = None if self.error is None else state.frames.new_zeros(*state.batch, len(self.layout))
+        return replace(state, joints=joints, error=error)
 
     def step(self, state: State, action: Tensor) -> RigidState:
         """State (B,) one control step after action (B, A)."""
@@ -131,7 +139,15 @@ class CompactModel(nn.Module):
         outlook = self._foresee(state, action)
         tokens = self._tokens(state, outlook, action)  # (B, E, C)
         root, joints = self._root(state, outlook, tokens, action)
-        return state.advance(self._move(state, outlook, root, self.head(tokens)), joints)
+        error = None
+        if self.error is not None and state.error is not None:
+            error = state.error + self.error(tokens.detach())
+        return state.advance(self._move(state, outlook, root, self.head(tokens)), joints, error)
+
+    def tokens(self, state: State, action: Tensor) -> Tensor:
+        """What the motion of each entity under ``action`` (B, A) is decoded from (B, E, C)."""
+        assert isinstance(state, RigidState)
+        return self._tokens(state, self._foresee(state, action), action)
 
     def _foresee(self, state: RigidState, action: Tensor) -> _Outlook:
         openings = self.response.effector.openings(state.frames)

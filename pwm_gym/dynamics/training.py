@@ -23,7 +23,7 @@ from pwm_gym.dynamics.model import WorldModel
 from pwm_gym.errors import CheckpointError, unknown_name
 from pwm_gym.scene import Layout, RigidState, State
 
-__all__ = ["Batch", "Batches", "TrainConfig", "has_state", "rollout_loss", "train"]
+__all__ = ["Batch", "Batches", "TrainConfig", "has_state", "leads", "rollout_loss", "train"]
 
 _STATE = "training-state.pt"
 _LOSSES = ("huber", "hybrid")
@@ -245,6 +245,11 @@ def train(
     return metrics
 
 
+def leads() -> bool:
+    """Whether this is the first of the processes that train together: it alone validates and writes."""
+    return int(os.environ.get("RANK", 0)) == 0
+
+
 def has_state(folder: Path) -> bool:
     """Whether a run in ``folder`` can be resumed."""
     return (folder / _STATE).exists()
@@ -256,7 +261,7 @@ class _Run:
     def __init__(self, model: nn.Module, config: TrainConfig, folder: Path) -> None:
         self.config, self.folder, self.model, self.step = config, folder, model, 0
         self.rank, self.world = int(os.environ.get("RANK", 0)), int(os.environ.get("WORLD_SIZE", 1))
-        self.leads = self.rank == 0
+        self.leads = leads()
         if self.world > 1 and not dist.is_initialized():
             dist.init_process_group("nccl" if config.device.startswith("cuda") else "gloo")
         if config.loss not in _LOSSES:

@@ -16,6 +16,7 @@ from pwm_gym.costs import cost_info, get_cost, get_grasp
 from pwm_gym.data.dataset import Dataset
 from pwm_gym.data.episodes import KINDS
 from pwm_gym.dynamics.model import WorldModel
+from pwm_gym.evaluation.calibration import calibration
 from pwm_gym.evaluation.metrics import chamfer, pearson
 from pwm_gym.evaluation.rollouts import OBSERVED, Rollouts, position_errors, predict, rotation_errors
 from pwm_gym.scene import State
@@ -155,6 +156,8 @@ def _summary(rollouts: Rollouts, scores: _Scores, chosen: np.ndarray) -> dict[st
         "chamfer_l1_by_step": _by_step(scores.chamfer[chosen]),
         "entities": {},
     }
+    if (told := calibration(rollouts, chosen)) is not None:
+        out["calibration"] = told
     for i, name in enumerate(rollouts.states.layout.names):
         out["entities"][name] = {
             "position_mm": _at_steps(1e3 * position_errors(rollouts, i).numpy()[chosen], rollouts.lengths[chosen]),

@@ -129,11 +129,11 @@ def _roll(model: WorldModel, start: RigidState, actions: Tensor, oracle: tuple[T
 
 def _overwrite(state: State, truth: Tensor, joints: Tensor, links: Tensor) -> State:
     poses = torch.where(links[:, None, None], truth, state.poses())
-    rigid = RigidState(state.layout, state.clouds, torch.cat([poses.unsqueeze(1), state.history()[:, 1:]], 1))
+    frames = torch.cat([poses.unsqueeze(1), state.history()[:, 1:]], 1)
     if isinstance(state, RigidState):
-        if state.joints is None:
-            return rigid
-        return replace(rigid, joints=joints[..., : state.joints.shape[-1]])
+        known = None if state.joints is None else joints[..., : state.joints.shape[-1]]
+        return replace(state, frames=frames, joints=known)
+    rigid = RigidState(state.layout, state.clouds, frames)
     assert isinstance(state, PointState)
     kept = torch.as_tensor(links.numpy()[state.layout.ids])[:, None]
     points = torch.where(kept, rigid.points(), state.points())

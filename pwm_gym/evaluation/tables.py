@@ -24,9 +24,12 @@ from pwm_gym.data.partial import visible_split
 from pwm_gym.dynamics import load_checkpoint
 from pwm_gym.dynamics.training import TrainConfig
 from pwm_gym.errors import unknown_name
+from pwm_gym.evaluation.planning import planning_table, run_episodes
 from pwm_gym.evaluation.report import evaluate_rollouts
 from pwm_gym.evaluation.rollouts import validation_metrics
-from pwm_gym.tasks import get_task
+from pwm_gym.planning import Agent
+from pwm_gym.seeds import seed_range
+from pwm_gym.tasks import Task, get_task
 
 __all__ = ["TABLES", "Row", "Table", "run_table"]
 
@@ -51,6 +54,8 @@ class Row:
     kinds: tuple[str, ...] = ()
     """Kinds of training episodes; none given takes all."""
     seeds: tuple[int, ...] = (0,)
+    plan: int = 0
+    """Test seeds of planning that it plans in closed loop in the simulator."""
     paper: str = ""
     """The paper's figure, measured on other data."""
 
@@ -114,9 +119,10 @@ TABLES: dict[str, Table] = {
     "data": Table(
         "Training data",
         (
-            Row("all kinds", training=_QUICK),
-            Row("no random switches", training=_QUICK, kinds=("expert", "practice")),
-            Row("demonstrations alone", training=_QUICK, kinds=("expert", "randomised")),
+            Row("all kinds", training=_QUICK, plan=20),
+            Row("no random switches", training=_QUICK, kinds=("expert", "practice"), plan=20),
+            Row("demonstrations alone", training=_QUICK, kinds=("expert", "randomised"), plan=20),
+            Row("demonstrations without random switches", training=_QUICK, kinds=("expert",), plan=20),
             *(Row(f"{n} episodes", training=_QUICK, episodes=n) for n in (100, 300, 1000)),
         ),
     ),
@@ -188,6 +194,7 @@ class _Piece:
                 row.training,
                 row.episodes,
                 row.kinds,
+                row.plan,
                 self.seed,
             )
         )
@@ -225,8 +232,19 @@ def _run(piece: _Piece) -> None:
         "sample_steps": sum(h * steps * batch for h, steps, batch in training.phases),
         "parameters": sum(p.numel() for p in model.parameters()),  # type: ignore[attr-defined]
         "splits": table,
+        "planning": _planning(model, task, row.plan) if row.plan else None,
     }
     write_atomically(piece.result, json.dumps(result, default=float).encode())
+
+
+def _planning(model: Any, task: Task, episodes: int) -> dict[str, Any]:
+    """Closed-loop planning of the test seeds in the simulator."""
+    import gymnasium as gym
+
+    env = gym.make(f"pwm/{task.name}Sim-v0")
+    runs = run_episodes(env, Agent(model, task.name), seed_range("plan_test", episodes), progress=False)
+    env.close()
+    return planning_table(runs)
 
 
 def _joined(row: Row, runs: list[dict[str, Any]], moved: str) -> dict[str, Any]:
@@ -249,4 +267,5 @@ def _joined(row: Row, runs: list[dict[str, Any]], moved: str) -> dict[str, Any]:
         "sample_steps": runs[0]["sample_steps"],
         "parameters": runs[0]["parameters"],
         "splits": splits,
+        "planning": [r["planning"] for r in runs if r["planning"] is not None],
     }

@@ -66,13 +66,14 @@ class ArmKinematics(nn.Module):
         linear = torch.linalg.cross(axes, point.unsqueeze(-2) - origins)
         return torch.cat([linear, axes], -1).transpose(-1, -2)
 
-    def solve(self, goal: Tensor, start: Tensor, iterations: int = 4) -> tuple[Tensor, Tensor]:
+    def solve(self, goal: Tensor, start: Tensor, iterations: int = 4, rate: float = 1.0) -> tuple[Tensor, Tensor]:
         """Inverse kinematics by damped Gauss-Newton steps.
 
         Args:
             goal: pose (..., 4, 4) of the root link.
             start: joint angles (..., J) to begin at; the solution is close to them.
             iterations: steps.
+            rate: share of each step that is taken; less finds solutions past which whole steps shoot.
 
         Returns:
             Joint angles (..., J), and the distance (...) in metres by which the tool centre misses its goal.
@@ -90,7 +91,7 @@ class ArmKinematics(nn.Module):
             jacobian = self.jacobian(frames, tool)
             gram = jacobian @ jacobian.transpose(-1, -2) + self.damping.to(joints)
             step = jacobian.transpose(-1, -2) @ torch.linalg.solve(gram, error.unsqueeze(-1))
-            joints = joints + step.squeeze(-1)
+            joints = joints + rate * step.squeeze(-1)
         return joints, error[..., :3].norm(dim=-1)
 
     def target(self, root: Tensor, action: Tensor) -> Tensor:

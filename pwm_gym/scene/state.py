@@ -8,7 +8,7 @@ unsegmented scene keeps the points themselves (:class:`PointState`). Every array
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol, runtime_checkable
 
 import torch
@@ -80,11 +80,17 @@ class RigidState:
     """Poses (..., 3, E, 4, 4) at t, t-1, t-2."""
     joints: Tensor | None = None
     """Robot's joint positions and velocities (..., 2, J), where they are known; radians (metres), and these a step."""
+    error: Tensor | None = None
+    """Expected distance (..., E) of each entity's points from the truth, metres, from models that tell."""
 
     @property
     def tensors(self) -> tuple[Tensor, ...]:
         """Every batched tensor, in the order in which :meth:`map` takes them."""
-        return (self.clouds, self.frames) if self.joints is None else (self.clouds, self.frames, self.joints)
+        return tuple(self._named().values())
+
+    def _named(self) -> dict[str, Tensor]:
+        names = ("clouds", "frames", "joints", "error")
+        return {name: value for name in names if (value := getattr(self, name)) is not None}
 
     @property
     def batch(self) -> torch.Size:
@@ -119,10 +125,10 @@ class RigidState:
         """Poses (..., 3, E, 4, 4) of three steps, newest first."""
         return self.frames
 
-    def advance(self, poses: Tensor, joints: Tensor | None = None) -> RigidState:
-        """State one step later, at ``poses`` (..., E, 4, 4) and, where they are known, with ``joints`` (..., 2, J)."""
+    def advance(self, poses: Tensor, joints: Tensor | None = None, error: Tensor | None = None) -> RigidState:
+        """State one step later, at ``poses`` (..., E, 4, 4); with ``joints`` (..., 2, J), ``error`` (..., E) if any."""
         frames = torch.cat([poses.unsqueeze(-4), self.frames[..., :2, :, :, :]], -4)
-        return RigidState(self.layout, self.clouds, frames, joints)
+        return RigidState(self.layout, self.clouds, frames, joints, error)
 
     def __getitem__(self, index: Any) -> RigidState:
         return self.map(lambda x: x[index])
@@ -130,11 +136,12 @@ class RigidState:
     def coarsen(self, layout: Layout) -> RigidState:
         """The same poses with the (fewer) points of ``layout``: each entity's first."""
         kept = [f.start + k for f, e in zip(self.layout, layout, strict=True) for k in range(e.points)]
-        return RigidState(layout, self.clouds[..., kept, :], self.frames, self.joints)
+        return replace(self, layout=layout, clouds=self.clouds[..., kept, :])
 
     def map(self, function: Any) -> RigidState:
         """State with ``function`` applied to each batched tensor."""
-        return RigidState(self.layout, *map(function, self.tensors))
+        moved: dict[str, Any] = {name: function(value) for name, value in self._named().items()}
+        return replace(self, **moved)
 
 
 @dataclass(frozen=True)

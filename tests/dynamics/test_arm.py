@@ -65,6 +65,21 @@ def test_a_command_out_of_reach_leaves_the_arm_where_it_is(response):
     assert torch.equal(response.command(stretched, action, response.kinematics(stretched)), torch.zeros(1, 7))
 
 
+def test_near_the_edge_of_the_reach_small_steps_find_what_whole_ones_miss(response):
+    generator = torch.Generator().manual_seed(0)
+    stretched = torch.tensor(ARM.rest) + torch.tensor([0.0, 0.9, 0.0, 1.2, 0.0, -0.3, 0.0])
+    joints = stretched + 0.15 * torch.randn(1000, 7, generator=generator)
+    action = 2.0 * torch.rand(1000, 7, generator=generator) - 1.0
+    kinematics, root = response.kinematics, response.kinematics(joints)
+    goal = kinematics.target(root, action)
+    _, whole = kinematics.solve(goal, joints, 3)
+    command = response.command(joints, action, root)
+    found = command.abs().sum(-1) > 0
+    assert found.sum() > 1.3 * (whole < 1e-3).sum()
+    _, miss = kinematics.solve(goal, joints + command, 0)
+    assert miss[found].max() < 1.1e-3
+
+
 def test_rest_without_a_command_is_rest(response):
     joints = torch.stack([torch.tensor(ARM.rest), torch.zeros(7)]).expand(2, 2, 7)
     root = response.kinematics(joints[:, 0])
