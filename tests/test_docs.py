@@ -6,6 +6,8 @@ import importlib.util
 import re
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).parents[1]
 
 
@@ -19,11 +21,12 @@ def test_readme_snippets_run(monkeypatch, tmp_path):
     assert namespace["info"]["cost_terms"]
 
 
-def test_environment_page_is_generated_from_the_docstrings():
-    spec = importlib.util.spec_from_file_location("generate", ROOT / "docs" / "generate.py")
+@pytest.mark.parametrize("name", ["generate", "generate_results"])
+def test_generated_pages_are_up_to_date(name):
+    spec = importlib.util.spec_from_file_location(name, ROOT / "docs" / f"{name}.py")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    assert module.PAGE.read_text() == module.page(), "run: python docs/generate.py"
+    assert module.PAGE.read_text() == module.page(), f"run: python docs/{name}.py"
 
 
 def test_readme_names_only_files_that_exist():

@@ -36,8 +36,8 @@ class Evaluate:
     """Whether to measure the floors, which needs the simulator."""
     long: int = 0
     """Episodes of 300 steps of expert and random actions in turn, made in the simulator, for long rollouts."""
-    picture: Path | None = None
-    """Where to draw the errors of the long rollouts over time (PNG)."""
+    pictures: Path | None = None
+    """Folder for pictures (PNG): expected against real errors, and the errors of the long rollouts over time."""
     table: str | None = None
     """rollout, baselines, register, horizon, data or arm."""
     out: Path = Path("runs/tables")
@@ -71,6 +71,7 @@ class Evaluate:
             rows[name] = evaluate_rollouts(model, task, dataset, every=self.every)
         floors = _floors(task, dataset) if self.floors else {}
         _print(task, rows, floors)
+        self._calibration(task, rows[checkpoint.kind])
         long = long_rollouts(checkpoint.model, dataset)
         print(f"300 zero actions, moved at the end (mm): {long['zero_actions_mm']}")
         print(f"300 random actions: farthest {long['random_actions_m']:.2f} m, finite: {long['finite']}")
@@ -96,10 +97,25 @@ class Evaluate:
         simulator.close()
         for length, value in curves.mean_chamfer.items():
             print(f"{length} steps of mixed actions: Chamfer L1 {value:.4f} m on average")
-        if self.picture is not None:
+        if self.pictures is not None:
             panels = {f"{name}: position error (mm)": v for name, v in curves.positions.items()}
-            draw_quartiles(panels, f"{task.name}: {self.long} rollouts of mixed actions").save(self.picture)
+            picture = draw_quartiles(panels, f"{task.name}: {self.long} rollouts of mixed actions")
+            picture.save(self.pictures / "long_rollouts.png")
         return curves.summary()
+
+    def _calibration(self, task: Task, row: dict[str, Any]) -> None:
+        """Print how well a model's expected errors rank its real ones, and draw them where asked for."""
+        told = row["all"].get("calibration") if "all" in row else None
+        if told is None:
+            return
+        ranks = ", ".join(f"{name} {value:.2f}" for name, value in told["rank_correlation"].items())
+        print(f"rank correlation of expected and real errors: {ranks}")
+        if self.pictures is not None:
+            from pwm_gym.viewer import draw_calibration
+
+            self.pictures.mkdir(parents=True, exist_ok=True)
+            picture = draw_calibration(told["bins"], f"{task.name}: does the model know how far off it is?")
+            picture.save(self.pictures / "calibration.png")
 
     def _table(self, name: str) -> None:
         from pwm_gym.evaluation import run_table, write_results

@@ -9,7 +9,7 @@ from functools import lru_cache
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from pwm_gym.viewer.palette import PREDICTED, Color, tint
+from pwm_gym.viewer.palette import PREDICTED, TRUE, Color, tint
 
 __all__ = ["AXIS", "INK", "MUTED", "Chart", "Curve", "dot", "draw_quartiles", "fit", "nice_ticks", "swatch", "text"]
 
@@ -99,8 +99,9 @@ class Chart:
         curves: Sequence[Curve],
         from_zero: bool = False,
         unit: str = "",
+        across: str = "step",
     ) -> None:
-        self.title, self.curves, self.unit = title, tuple(curves), unit
+        self.title, self.curves, self.unit, self.across = title, tuple(curves), unit, across
         left, top, right, bottom = box
         self.top, self.edge = top, right
         values = np.concatenate([c.values for c in curves])
@@ -161,7 +162,7 @@ class Chart:
             draw.line((column, bottom, column, bottom + 4), fill=MUTED)
             text(image, (column, bottom + 14), f"{tick:d}", _TICK_SIZE, MUTED, "mm")
         draw.line((left, bottom, right, bottom), fill=MUTED)
-        text(image, ((left + right) / 2, bottom + 31), "step", _TICK_SIZE, MUTED, "mm")
+        text(image, ((left + right) / 2, bottom + 31), self.across, _TICK_SIZE, MUTED, "mm")
         self._heading(image)
 
     def _heading(self, image: Image.Image) -> None:
@@ -216,3 +217,26 @@ def draw_quartiles(panels: Mapping[str, np.ndarray], title: str, size: tuple[int
         )
         image = Chart((left, 48, left + width, 48 + height), name, curves, from_zero=True).draw(image)
     return image
+
+
+def draw_calibration(
+    bins: Sequence[Mapping[str, float]], title: str, size: tuple[int, int] = (620, 340)
+) -> Image.Image:
+    """Expected and real errors in bins of the expected one, from the surest predictions to the least sure.
+
+    Args:
+        bins: each with "expected", "real_mean" and "real_median", metres.
+        title: over the chart.
+        size: of the chart, pixels.
+    """
+    width, height = size
+    image = Image.new("RGB", (width + 40, height + 60), (255, 255, 255))
+    text(image, (20, 24), title, 17)
+    names = {
+        "expected": ("expected", PREDICTED),
+        "real_mean": ("real, mean", TRUE),
+        "real_median": ("real, median", MUTED),
+    }
+    curves = [Curve(label, 1e3 * np.array([b[key] for b in bins]), color) for key, (label, color) in names.items()]
+    across = "bins of the expected error, surest first"
+    return Chart((20, 48, 20 + width, 48 + height), "error (mm)", curves, from_zero=True, across=across).draw(image)

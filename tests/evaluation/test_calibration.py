@@ -7,6 +7,7 @@ import torch
 from pwm_gym.evaluation.calibration import calibration
 from pwm_gym.evaluation.rollouts import Rollouts
 from pwm_gym.scene import RigidState
+from pwm_gym.viewer import draw_calibration
 
 
 @pytest.fixture
@@ -45,3 +46,11 @@ def test_a_model_that_is_sure_where_it_errs_ranks_the_other_way(rollouts):
 def test_a_model_that_does_not_tell_has_no_calibration(rollouts):
     silent = replace(rollouts, states=replace(rollouts.states, error=None))
     assert calibration(silent, np.array([True, True])) is None
+
+
+def test_the_picture_shows_expected_and_real_errors(rollouts):
+    bins = calibration(rollouts, np.array([True, True]))["bins"]
+    image = np.asarray(draw_calibration(bins, "calibration"))
+    assert image.ndim == 3
+    other = np.asarray(draw_calibration([{**b, "real_mean": 0.0} for b in bins], "calibration"))
+    assert (image != other).any()
