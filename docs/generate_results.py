@@ -24,9 +24,9 @@ _MODELS = {
 _INTRO = """# Results on PickCube
 
 Written by `python docs/generate_results.py` from the JSON files in `benchmarks/results`, each of which holds its
-command, machine, commit and date. Errors are of open-loop rollouts of the test split: a model observes three clouds, then
-predicts the rest of the episode under its actions. The paper's own figures stand in columns marked "paper, other data":
-its episodes, objects and simulator differ, so that they show the order of magnitude and nothing more.
+command, machine, commit and date. Errors are of open-loop rollouts of the test split: a model observes three clouds,
+then predicts the rest of the episode under its actions. The paper's own figures stand in columns marked "paper, other
+data": its episodes, objects and simulator differ, so that they show the order of magnitude and nothing more.
 """
 _LIMITS = """## What these figures do not show
 
@@ -104,8 +104,8 @@ def _rollouts() -> str:
         told = "\n" + _paragraph(
             f"Floors: fresh points on the true surfaces score {floors['sampling']['chamfer_l1']:.4f} m; the simulator,",
             f"its cube moved by 0.5 mm at the start, scores {floors['chaos']['chamfer_l1']:.4f} m.",
-            f"The reward read off the true clouds correlates {best['reward_correlation_ceiling']:.3f} with the simulator's.",
-            "Paper, other data: 0.009 m and 0.86.",
+            f"The reward read off the true clouds correlates {best['reward_correlation_ceiling']:.3f} with the",
+            "simulator's. Paper, other data: 0.009 m and 0.86.",
         )
     return f"## The default model\n\n{_source('evaluate_pick_cube', result)}\n{_grid(head, rows)}{told}"
 
