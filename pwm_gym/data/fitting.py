@@ -30,6 +30,7 @@ _BOOST = 3.0  # windows with pushes, drops and releases are drawn this many time
 
 Validate = Callable[[Any, Dataset, Any], dict[str, float]]
 _ERROR_CHUNK, _ERROR_POINTS = 2048, 32
+_ERROR_WINDOWS, _ERROR_HORIZON = 1024, 30  # rollouts that tell how errors of steps add up
 _VIEWS = ("complete", "partial")
 
 
@@ -149,18 +150,36 @@ def _fit_response(model: nn.Module, dataset: Dataset, arm_steps: int) -> None:
 
 @torch.no_grad()
 def fit_error(model: Any, dataset: Dataset, steps: int) -> None:
-    """Fit what a trained model expects to be its error, on every transition of ``dataset``."""
+    """Fit what a trained model expects to be its error, on every transition of ``dataset`` and on rollouts of it."""
     windows = Windows(dataset)
     tokens, errors = [], []
     for batch in windows.chunks(_ERROR_CHUNK):
         state = model.prepare(batch.state().coarsen(dataset.layout.truncate(_ERROR_POINTS)))
         action = batch.actions[:, 0]
-        after = model.step(state, action)
-        gaps = (after.points() - after.advance(batch.following[:, 0]).points()).norm(dim=-1)
-        errors.append(torch.stack([gaps[:, e.slice].mean(1) for e in after.layout], 1))
+        errors.append(_gaps(model.step(state, action), batch.following[:, 0]))
         tokens.append(model.tokens(state, action))
     with torch.enable_grad():
         model.error.fit(torch.cat(tokens), torch.cat(errors), steps)
+    _scale_error(model, windows)
+
+
+@torch.no_grad()
+def _scale_error(model: Any, windows: Windows) -> None:
+    """Scale the expected error so that it is right on average over rollouts."""
+    batch = windows.sample(torch.Generator().manual_seed(0), _ERROR_WINDOWS, _ERROR_HORIZON)
+    state = model.prepare(batch.state().coarsen(windows.layout.truncate(_ERROR_POINTS)))
+    expected, real = 0.0, 0.0
+    for h in range(_ERROR_HORIZON):
+        state = model.step(state, batch.actions[:, h])
+        expected += float(state.error.mean())
+        real += float(_gaps(state, batch.following[:, h]).mean())
+    model.error.factor.mul_(real / max(expected, 1e-12))
+
+
+def _gaps(state: Any, truth: torch.Tensor) -> torch.Tensor:
+    """Mean distance (B, E) of each entity's points from where they are at ``truth`` (B, E, 4, 4)."""
+    gaps = (state.points() - state.advance(truth).points()).norm(dim=-1)
+    return torch.stack([gaps[:, e.slice].mean(1) for e in state.layout], 1)
 
 
 def _describe(config: FitConfig, dataset: Dataset) -> dict[str, Any]:

@@ -1,7 +1,8 @@
 """How far off a world model may be: the expected error of each step, told by what the model sees before it.
 
 Fitted when the model is done: the head reads the frozen model's tokens and learns the mean error of single steps from
-true states. Along a rollout the expected errors of its steps add up, as errors do that are never corrected.
+true states. Along a rollout the expected errors of its steps add up, times a factor: errors that are never corrected
+grow like their sum, but not all in one direction.
 """
 
 from __future__ import annotations
@@ -17,21 +18,28 @@ _BATCH, _RATE = 1024, 2e-3
 
 
 class ErrorHead(nn.Module):
-    """Expected error of one step, for each entity.
+    """What each step adds to the expected error of each entity.
 
     Args:
         width: channels of the tokens.
         hidden: channels of the hidden layer.
     """
 
+    factor: Tensor
+
     def __init__(self, width: int, hidden: int = 64) -> None:
         super().__init__()
+        self.register_buffer("factor", torch.ones(()))
         self.net = nn.Sequential(nn.Linear(width, hidden), nn.GELU(), nn.Linear(hidden, 1))
         self.requires_grad_(False)  # the model's own training leaves it alone
 
     def forward(self, tokens: Tensor) -> Tensor:
-        """Mean distance (..., E) in metres of an entity's points from the truth after one step; tokens (..., E, C)."""
-        return _UNIT * self._log(tokens).exp()
+        """What a step adds (..., E) to the mean distance of an entity's points from the truth, metres.
+
+        Args:
+            tokens: of the step (..., E, C).
+        """
+        return self.factor * _UNIT * self._log(tokens).exp()
 
     def _log(self, tokens: Tensor) -> Tensor:
         return self.net(tokens).squeeze(-1).clamp(*_RANGE)

@@ -237,6 +237,9 @@ def draw_calibration(
         "real_mean": ("real, mean", TRUE),
         "real_median": ("real, median", MUTED),
     }
-    curves = [Curve(label, 1e3 * np.array([b[key] for b in bins]), color) for key, (label, color) in names.items()]
+    curves = []
+    for key, (label, color) in names.items():
+        millimetres = 1e3 * np.array([b[key] for b in bins])
+        curves.append(Curve(label, np.log10(millimetres.clip(1e-6)), color))
     across = "bins of the expected error, surest first"
-    return Chart((20, 48, 20 + width, 48 + height), "error (mm)", curves, from_zero=True, across=across).draw(image)
+    return Chart((20, 48, 20 + width, 48 + height), "error (mm, powers of ten)", curves, across=across).draw(image)
