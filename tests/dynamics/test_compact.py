@@ -112,11 +112,11 @@ def test_a_resting_hand_rests_under_a_zero_action(model, hand_scenes):
     start = hand_scenes(4, moving=False)
     after = model.step(start, torch.zeros(4, 7))
     hand = start.layout.index("hand")
-    assert (after.poses() - start.poses())[:, hand].abs().max() < 1e-6
+    assert (after.poses() - start.poses())[:, hand].abs().max() < 2e-6
     shut = torch.zeros(4, 7)
     shut[:, 6] = -1.0  # the gripper's command is no command of the arm
     model.response.root_weight[18] = 0.0
-    assert (model.step(start, shut).poses() - start.poses())[:, hand].abs().max() < 1e-6
+    assert (model.step(start, shut).poses() - start.poses())[:, hand].abs().max() < 2e-6
 
 
 @torch.no_grad()
@@ -178,9 +178,10 @@ def test_poses_stay_rigid(model, state, action):
 def test_gradients_reach_every_parameter(model, state, action):
     states = rollout(model, state, action.unsqueeze(1).expand(-1, 2, -1))
     states.points().square().sum().backward()
-    silent = [n for n, p in model.named_parameters() if p.grad is None or not p.grad.abs().sum() > 0]
-    assert silent == []
-    assert all(p.grad.isfinite().all() for p in model.parameters())
+    trained = {n: p.grad for n, p in model.named_parameters() if not n.startswith("error.")}
+    assert [n for n, grad in trained.items() if grad is None or not grad.abs().sum() > 0] == []
+    assert all(grad.isfinite().all() for grad in trained.values())
+    assert all(p.grad is None for p in model.error.parameters())  # it is fitted when the rest is done
 
 
 def test_gradients_reach_the_actions(model, state, action):

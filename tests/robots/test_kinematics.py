@@ -38,7 +38,7 @@ def test_agrees_with_a_general_library_on_the_simulators_urdf(kinematics):
 def test_agrees_with_the_simulators_links(kinematics, train_split):
     for episode in train_split.episodes:
         hand = torch.as_tensor(episode.poses[:, 0])
-        root = kinematics(torch.as_tensor(episode.joints[:, :7]))
+        root = kinematics(torch.as_tensor(episode.joints[:, 0, :7]))
         torch.testing.assert_close(root[:, :3, 3], hand[:, :3], atol=1e-5, rtol=0)
 
 
