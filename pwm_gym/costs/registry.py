@@ -1,8 +1,9 @@
 """Registries of cost functions, success rules and grasp rules on point clouds.
 
 All three read ``(points, info)``: ``points[name]`` are an entity's world-frame points (B, n, 3) in metres, and ``info``
-holds ``goal`` (B, G), ``action`` (B, A), ``grasped`` (B,), ``velocity[name]`` (B, n, 3) in metres a step, and
-``extra`` with ``goal_pos`` (B, G).
+holds ``goal`` (B, G), ``action`` (B, A), ``grasped`` (B,), ``velocity[name]`` (B, n, 3) in metres a step, ``joints``
+(B, 2, J) with the robot's positions and velocities a step (None where they are not known), and ``extra`` with
+``goal_pos`` (B, G).
 """
 
 from __future__ import annotations
