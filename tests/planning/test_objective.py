@@ -18,7 +18,7 @@ def model(train_split):
     torch.manual_seed(0)
     model = CompactModel(TASK.layout, 7, CONTROL, TINY).eval().requires_grad_(False)
     torch.nn.init.normal_(model.head.weight, std=0.2)
-    model.arm.weight[:7] = 0.4 * torch.eye(7)  # of the way to where the controller drives the joints
+    model.arm.weight[:7, :7] = 0.4 * torch.eye(7)  # of the way to where the controller drives the joints
     return model
 
 
