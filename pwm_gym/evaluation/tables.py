@@ -34,7 +34,7 @@ from pwm_gym.tasks import Task, get_task
 __all__ = ["TABLES", "Row", "Table", "run_table"]
 
 _ABLATION = 500_000  # sample-steps: about ten minutes of the default model on one core
-_HEADLINE = 1_500_000
+_HEADLINE = 150_000  # 40 to 90 minutes of a network of points on one core, four hours of GBND's graphs
 
 
 @dataclass(frozen=True)
