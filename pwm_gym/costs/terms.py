@@ -47,8 +47,9 @@ def finger_gaps(points: Points, name: str) -> Tensor:
 
     Zero: touching. Slightly negative: pressing. More: the finger is past that side, beside or above the object.
     """
-    along = (points[name] @ _fingers_axis(points)).squeeze(-1)
-    return _gaps(points, along.amin(-1), along.amax(-1))
+    axis = _fingers_axis(points)
+    along = (points[name] @ axis).squeeze(-1)
+    return _gaps(points, axis, along.amin(-1), along.amax(-1))
 
 
 def pad_gaps(points: Points, name: str) -> Tensor:
@@ -64,12 +65,11 @@ def pad_gaps(points: Points, name: str) -> Tensor:
     offset = object_points - tool.unsqueeze(-2)
     between = ((offset @ sideways).abs() <= _PAD_HALF_WIDTH) & (offset @ forward <= _PAD_END)
     along, between = (object_points @ axis).squeeze(-1), between.squeeze(-1)
-    return _gaps(points, along.where(between, 1e3).amin(-1), along.where(between, -1e3).amax(-1))
+    return _gaps(points, axis, along.where(between, 1e3).amin(-1), along.where(between, -1e3).amax(-1))
 
 
-def _gaps(points: Points, lowest: Tensor, highest: Tensor) -> Tensor:
-    """Gaps (B, 2) of the left and the right finger to an object that reaches from ``lowest`` to ``highest`` (B,)."""
-    axis = _fingers_axis(points)
+def _gaps(points: Points, axis: Tensor, lowest: Tensor, highest: Tensor) -> Tensor:
+    """Gaps (B, 2) of both fingers to what reaches from ``lowest`` to ``highest`` (B,) along their axis (B, 3, 1)."""
     left, right = ((points[finger] @ axis).squeeze(-1) for finger in ("left_gripper", "right_gripper"))
     return torch.stack([left.amin(-1) - highest, lowest - right.amax(-1)], -1)
 

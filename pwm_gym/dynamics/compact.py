@@ -125,12 +125,13 @@ class CompactModel(nn.Module):
     def prepare(self, state: State) -> RigidState:
         """Entity poses of ``state`` and the arm's joints, each registered or solved for where it has none.
 
-        An expected error starts from zero.
+        An expected error starts from zero; in training there is none.
         """
         if not isinstance(state, RigidState):
             state = RigidState(state.layout, state.clouds, state.history())
         joints = self.arm.observe(self._roots(state.frames), state.joints) if self.arm is not None else None
-        error = None if self.error is None else state.frames.new_zeros(*state.batch, len(self.layout))
+        tells = self.error is not None and not self.training
+        error = state.frames.new_zeros(*state.batch, len(self.layout)) if tells else None
         return replace(state, joints=joints, error=error)
 
     def step(self, state: State, action: Tensor) -> RigidState:
@@ -141,7 +142,7 @@ class CompactModel(nn.Module):
         root, joints = self._root(state, outlook, tokens, action)
         error = None
         if self.error is not None and state.error is not None:
-            error = state.error + self.error(tokens.detach())
+            error = state.error + self.error(tokens)
         return state.advance(self._move(state, outlook, root, self.head(tokens)), joints, error)
 
     def tokens(self, state: State, action: Tensor) -> Tensor:
@@ -305,7 +306,7 @@ def _aliveness(motion: Tensor, command: Tensor) -> Tensor:
     """0 where the end effector rests without a command, near 1 elsewhere; (B, 1)."""
     scale = motion.new_tensor([_TRANSLATION] * 3 + [_ROTATION] * 3)
     size = (motion / scale).square().sum((-1, -2)) + command.square().sum(-1)
-    return torch.tanh(10.0 * size.clamp_min(1e-12).sqrt()).unsqueeze(-1)
+    return torch.tanh(10.0 * ((size + 1e-12).sqrt() - 1e-6)).unsqueeze(-1)  # a finite slope at rest, and zero there
 
 
 class _Block(nn.Module):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import torch
 from torch import Tensor
 
@@ -39,8 +41,10 @@ class RolloutObjective:
     def begin(self, state: State, goal: Tensor) -> RolloutObjective:
         """Plan from ``state`` (B,) towards ``goal`` (B, G)."""
         state = self.model.prepare(state)
-        if self.points is not None and isinstance(state, RigidState):
-            state = state.coarsen(state.layout.truncate(self.points))
+        if isinstance(state, RigidState):
+            state = replace(state, error=None)  # which no cost reads
+            if self.points is not None:
+                state = state.coarsen(state.layout.truncate(self.points))
         self._state, self._goal = state, goal
         return self
 

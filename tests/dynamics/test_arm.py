@@ -97,6 +97,8 @@ def test_joints_are_solved_for_where_a_scene_does_not_tell_them(response, train_
     for k, angles in enumerate((solved[:, 0], solved[:, 0] - solved[:, 1] / response.braking)):
         roots = response.kinematics(angles)
         torch.testing.assert_close(roots[..., :3, 3], state.frames[:, k, 0, :3, 3], atol=1e-4, rtol=0)
+    first = train_split.episodes[0].joints[7:9, 0, :7]
+    assert (solved[0, 1] / response.braking - torch.as_tensor(first[1] - first[0])).abs().max() < 0.01
     assert 0.7 < response.braking < 0.95  # the controller brakes
     assert (known - solved)[:, 1].norm() < 0.5 * known[:, 1].norm()
 

@@ -31,9 +31,9 @@ def model(train_split):
     model = build_model("compact", TASK.layout, 7, TASK.control, SETTINGS).requires_grad_(False)
     model.arm.requires_grad_(True)
     model.arm.fit(batch.joints, batch.actions[:, 0], batch.following_joints[:, 0], steps=100)
-    model.requires_grad_(False)
+    model.requires_grad_(False).eval()
     fit_error(model, train_split, steps=300)
-    return model.eval()
+    return model
 
 
 def test_larger_errors_are_expected_where_they_are(model, train_split):
@@ -51,6 +51,12 @@ def test_the_expected_errors_of_steps_add_up(model, train_split):
     states = rollout(model, start, torch.zeros(3, 5, 7))
     assert states.error.shape == (3, 5, 4)
     assert (states.error.diff(dim=1) >= 0).all()
+
+
+def test_training_has_no_expected_error(model, train_split):
+    start = batch_state([train_split.scene(e) for e in train_split.episodes[:3]])
+    assert model.train().prepare(start).error is None
+    assert model.eval().prepare(start).error is not None
 
 
 def test_states_carry_the_expected_error(model, train_split):
