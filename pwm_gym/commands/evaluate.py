@@ -62,6 +62,8 @@ class Evaluate:
         from pwm_gym.tasks import get_task
 
         torch.set_num_threads(self.threads)
+        if self.pictures is not None:
+            self.pictures.mkdir(parents=True, exist_ok=True)
         task = get_task(self.task)
         dataset = load_split(self.data, self.split, task.name)
         checkpoint = load_checkpoint(resolve(self.checkpoint, task.name), task.name)
@@ -113,7 +115,6 @@ class Evaluate:
         if self.pictures is not None:
             from pwm_gym.viewer import draw_calibration
 
-            self.pictures.mkdir(parents=True, exist_ok=True)
             picture = draw_calibration(told["bins"], f"{task.name}: does the model know how far off it is?")
             picture.save(self.pictures / "calibration.png")
 
