@@ -65,7 +65,7 @@ class Demonstration:
 
 
 class Practice:
-    """Segments of 6 to 40 steps that show what demonstrations never do: shut fingers on the object, pushes, idling."""
+    """Segments of 6 to 60 steps that show what demonstrations seldom do: shut fingers on the object, pushes, tosses."""
 
     kind = "practice"
     switch = -1
@@ -80,8 +80,8 @@ class Practice:
         """Next action (A,)."""
         if self._left == 0:
             self._left = int(self._rng.integers(6, 41))
-            makers = [self._resume, self._waypoint, self._pinch, self._idle, self._random, self._wander]
-            self._segment = makers[self._rng.choice(len(makers), p=[0.25, 0.25, 0.2, 0.1, 0.1, 0.1])]()
+            makers = [self._resume, self._waypoint, self._pinch, self._toss, self._idle, self._random, self._wander]
+            self._segment = makers[self._rng.choice(len(makers), p=[0.15, 0.15, 0.15, 0.3, 0.08, 0.07, 0.1])]()
         self._left -= 1
         action = self._segment(simulator)
         self._gripper = float(action[-1])
@@ -141,6 +141,19 @@ class Practice:
                 reach = reach + [0.0, 0.0, 0.06]
             step = reach * min(1.0, speed / max(float(np.linalg.norm(reach)), 1e-9))
             return task.arm.action(step, np.array([0.0, 0.0, twist]), 1.0)
+
+        return act
+
+    def _toss(self) -> Callable[[Simulator], np.ndarray]:
+        """The expert for up to 35 steps, which often holds the object by then, and random actions after them."""
+        expert, throw = self._resume(), self._random()
+        grip, wild = int(self._rng.integers(3, 36)), int(self._rng.integers(10, 26))
+        self._left = grip + wild
+
+        def act(simulator: Simulator) -> np.ndarray:
+            nonlocal grip
+            grip -= 1
+            return expert(simulator) if grip >= 0 else throw(simulator)
 
         return act
 

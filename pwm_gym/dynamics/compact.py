@@ -9,8 +9,9 @@ which makes the model exactly equivariant to turns about the base's vertical axi
   correction for contacts, and the root link goes where its kinematics say. Elsewhere the root link moves by its linear
   response (:mod:`pwm_gym.dynamics.response`) plus a learned twist. Both corrections vanish at rest without a command.
 - Links that slide on the root move along their joints, within the joints' limits.
-- Every other entity moves by ``a * (the end effector's motion) + m * (a learned twist)``, with gates a and m that
-  reach 0 and 1 exactly: an untouched object rests and a held one does not slip, for any number of steps.
+- Every other entity moves by ``a * (the end effector's motion) + f * (free flight) + m * (a learned twist)``, with
+  gates that reach 0 and 1 exactly: an untouched object rests and a held one does not slip, for any number of steps. Its
+  token is told of its contacts (:mod:`pwm_gym.dynamics.contact`).
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from pwm_gym.dynamics.arm import STEP, ArmOutlook, ArmResponse
+from pwm_gym.dynamics.contact import FALL, ContactFeatures
 from pwm_gym.dynamics.response import LinearResponse, twist, twists
 from pwm_gym.dynamics.uncertainty import ErrorHead
 from pwm_gym.robots import Control
@@ -33,6 +35,8 @@ __all__ = ["CompactConfig", "CompactModel"]
 # Scales that bring features to order 1; metres, radians, per step where it is a motion.
 _LENGTH, _NEAR = 0.1, 0.01
 _TRANSLATION, _ROTATION, _OPENING = 0.01, 0.05, 0.005
+_AFOOT = 0.001  # metres a step; what is slower has nothing to fly on with
+_FLIGHT = 8  # place of its gate in a decoded token
 
 
 @dataclass(frozen=True)
@@ -96,7 +100,6 @@ class CompactModel(nn.Module):
         self.control = control or Control()
         self.response = LinearResponse(layout, action_size)
         effector = self.response.effector
-        self._free = [i for i, e in enumerate(layout) if not e.effector]
         c, sliders = self.config, len(effector.sliding)
         self.point_net = nn.Sequential(nn.Linear(5, c.point_width), nn.ReLU(), nn.Linear(c.point_width, c.point_width))
         context = 7 + 18 + 4 * sliders  # see _context
@@ -104,11 +107,16 @@ class CompactModel(nn.Module):
         self.kind = nn.Parameter(0.02 * torch.randn(len(layout), c.width))
         self.action = nn.Sequential(nn.Linear(action_size, c.width), nn.GELU(), nn.Linear(c.width, c.width))
         self.register = nn.Parameter(0.02 * torch.randn(c.registers, c.width))
+        self.contact = ContactFeatures(layout, effector, c.points, c.point_width, c.width)
+        places = F.one_hot(torch.tensor(self.contact.free, dtype=torch.long), len(layout)).float()
+        self.free_place: Tensor
+        self.register_buffer("free_place", places, persistent=False)  # (F, E): 1 at each free entity
         self.blocks = nn.ModuleList(_Block(c.width, c.heads, c.mlp_ratio) for _ in range(c.blocks))
         self.norm = nn.LayerNorm(c.width)
-        self.head = nn.Linear(c.width, 8)  # attachment, movement, twist
+        self.head = nn.Linear(c.width, 9)  # attachment, movement, twist, flight
         nn.init.zeros_(self.head.weight)
         nn.init.zeros_(self.head.bias)
+        nn.init.constant_(self.head.bias[_FLIGHT:], -3.0)  # nothing flies
         self.arm_place: Tensor
         self.arm: ArmResponse | None = None
         if c.kinematic and self.control.arm is not None:
@@ -164,6 +172,8 @@ class CompactModel(nn.Module):
     def _tokens(self, state: RigidState, outlook: _Outlook, action: Tensor) -> Tensor:
         """Entity tokens (B, E, C) after attention over [entities, action, registers]."""
         entities = self._entities(state, self._context(state.frames, outlook))
+        told = self.contact(state, *self._links(state, outlook))
+        entities = entities + (told.transpose(1, 2) @ self.free_place).transpose(1, 2)
         if outlook.arm is not None:
             entities = entities + self.arm_place * self.arm_token(outlook.arm.features).unsqueeze(1)
         command = self.action(self._turned(action, self._roots(state.frames)[:, 0, :3, :3])).unsqueeze(1)
@@ -185,10 +195,18 @@ class CompactModel(nn.Module):
             angles = self.arm.kinematics.limit(state.joints[:, 0] + step)
             return self.arm.kinematics(angles), torch.stack([angles, velocity], 1)
         roots = self._roots(state.frames)
-        learned = self._world_twists(roots[:, 0], self.head(token)[:, None, 2:]).squeeze(1)
+        learned = self._world_twists(roots[:, 0], self.head(token)[:, None, 2:_FLIGHT]).squeeze(1)
         moved = outlook.twist + _aliveness(twists(roots), action[:, : self._arm_stop()]) * learned
-        position = self.response.confine(roots[:, 0, :3, 3] + moved[:, :3])
-        return make_pose(rotation_from_vector(moved[:, 3:]) @ roots[:, 0, :3, :3], position), None
+        root = _moved(roots[:, 0], moved)
+        return make_pose(root[:, :3, :3], self.response.confine(root[:, :3, 3])), None
+
+    def _links(self, state: RigidState, outlook: _Outlook) -> tuple[Tensor, Tensor]:
+        """Poses (B, 1 + S, 4, 4) of the root link and the sliding links, now and as foreseen."""
+        effector = self.response.effector
+        now = state.poses()[:, [effector.root, *effector.sliding]]
+        root = _moved(now[:, 0], outlook.twist)
+        openings = effector.limit(outlook.openings[:, 0] + outlook.slide)
+        return now, torch.cat([root.unsqueeze(1), effector.links(root, openings)], 1)
 
     def _roots(self, frames: Tensor) -> Tensor:
         """Poses (B, 3, 4, 4) of the root link."""
@@ -254,10 +272,10 @@ class CompactModel(nn.Module):
         return torch.cat([features.amax(-2), features.mean(-2)], -1)
 
     def _move(self, state: RigidState, outlook: _Outlook, root: Tensor, decoded: Tensor) -> Tensor:
-        """Next poses (B, E, 4, 4), given the root link's (B, 4, 4) and decoded tokens (B, E, 8)."""
+        """Next poses (B, E, 4, 4), given the root link's (B, 4, 4) and decoded tokens (B, E, 9)."""
         effector, now = self.response.effector, state.poses()
         before = now[:, effector.root]
-        learned = self._world_twists(before, decoded[..., 2:])  # (B, E, 6)
+        learned = self._world_twists(before, decoded[..., 2:_FLIGHT])  # (B, E, 6)
         moved = list(now.unbind(1))
         moved[effector.root] = root
         if effector.sliding:
@@ -266,12 +284,19 @@ class CompactModel(nn.Module):
             for k, pose in zip(effector.sliding, effector.links(root, widths).unbind(1), strict=True):
                 moved[k] = pose
         turn = twist(before, root)[:, 3:]
-        for k in self._free:
+        for k in self.contact.free:
             middle = state.clouds[:, state.layout.entities[k].slice].mean(1)  # canonical (B, 3)
             centre = (now[:, k, :3, :3] @ middle.unsqueeze(-1)).squeeze(-1) + now[:, k, :3, 3]
             carried = torch.cat([_carried(centre, before, root), turn], -1)
-            attached, moving = _gate(decoded[:, k, 0:1]), _gate(decoded[:, k, 1:2])
-            moved[k] = _turn_about(now[:, k], middle, centre, attached * carried + moving * learned[:, k])
+            attached, moving, flying = (_gate(decoded[:, k, i : i + 1]) for i in (0, 1, _FLIGHT))
+            last = state.frames[:, 1, k]
+            gone = centre - (last[:, :3, :3] @ middle.unsqueeze(-1)).squeeze(-1) - last[:, :3, 3]
+            turned = twist(last, now[:, k])[:, 3:]
+            flight = torch.cat([gone + gone.new_tensor([0.0, 0.0, FALL]), turned], -1)
+            afoot = torch.cat([gone, 0.1 * _LENGTH * turned], -1).square().sum(-1, keepdim=True)
+            flying = flying * torch.tanh((afoot + 1e-12).sqrt() / _AFOOT - 1e-6 / _AFOOT)  # what rests does not fall
+            move = attached * carried + moving * learned[:, k] + flying * flight
+            moved[k] = _turn_about(now[:, k], middle, centre, move)
         return torch.stack(moved, 1)
 
     @staticmethod
@@ -282,6 +307,11 @@ class CompactModel(nn.Module):
 
     def _arm_stop(self) -> int:
         return max((b for _, b in self.control.vectors), default=self.action_size)
+
+
+def _moved(pose: Tensor, move: Tensor) -> Tensor:
+    """Pose (B, 4, 4) after a twist (B, 6)."""
+    return make_pose(rotation_from_vector(move[:, 3:]) @ pose[:, :3, :3], pose[:, :3, 3] + move[:, :3])
 
 
 def _carried(point: Tensor, before: Tensor, after: Tensor) -> Tensor:

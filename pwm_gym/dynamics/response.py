@@ -32,16 +32,20 @@ class EndEffector(nn.Module):
     """Kinematics of the effector links of a layout: one root, and links that slide on it."""
 
     origins: Tensor
-    axes: Tensor
+    directions: Tensor
+    along: Tensor
 
     def __init__(self, layout: Layout) -> None:
         super().__init__()
         self.root = next(i for i, e in enumerate(layout) if e.effector and e.slider is None)
         self.sliding = [i for i, e in enumerate(layout) if e.slider is not None]
         sliders = [e.slider for e in layout if e.slider is not None]
-        origins = torch.tensor([s.origin for s in sliders]).reshape(-1, 7)
-        self.register_buffer("origins", matrix_from_pose7(origins), persistent=False)  # (S, 4, 4)
-        self.register_buffer("axes", torch.tensor([s.axis for s in sliders]).reshape(-1, 3), persistent=False)
+        origins = matrix_from_pose7(torch.tensor([s.origin for s in sliders]).reshape(-1, 7))
+        axes = torch.tensor([s.axis for s in sliders]).reshape(-1, 3, 1)
+        self.register_buffer("origins", origins, persistent=False)  # (S, 4, 4)
+        # Directions (S, 3) in which the links open in the root's frame, and how far they are along them when shut (S,).
+        self.register_buffer("directions", (origins[:, :3, :3] @ axes).squeeze(-1), persistent=False)
+        self.register_buffer("along", (self.origins[:, :3, 3] * self.directions).sum(-1), persistent=False)  # (S,)
         self.uppers = [s.upper for s in sliders]
 
     def openings(self, frames: Tensor) -> Tensor:
@@ -49,15 +53,12 @@ class EndEffector(nn.Module):
         root = frames[..., self.root, None, :, :]
         links = frames[..., self.sliding, :, :]
         offset = (links[..., :3, 3] - root[..., :3, 3]).unsqueeze(-2) @ root[..., :3, :3]  # (..., 3, S, 1, 3)
-        travel = offset.squeeze(-2) - self.origins[:, :3, 3]
-        direction = (self.origins[:, :3, :3] @ self.axes.unsqueeze(-1)).squeeze(-1)
-        return (travel * direction).sum(-1)
+        return (offset.squeeze(-2) * self.directions).sum(-1) - self.along
 
     def links(self, root: Tensor, openings: Tensor) -> Tensor:
         """Poses (..., S, 4, 4) of the sliding links at root poses (..., 4, 4) and openings (..., S) in metres."""
         local = self.origins.expand(*openings.shape, 4, 4).clone()
-        direction = (self.origins[:, :3, :3] @ self.axes.unsqueeze(-1)).squeeze(-1)
-        local[..., :3, 3] = self.origins[:, :3, 3] + direction * openings.unsqueeze(-1)
+        local[..., :3, 3] = self.origins[:, :3, 3] + self.directions * openings.unsqueeze(-1)
         return root.unsqueeze(-3) @ local
 
     def limit(self, openings: Tensor) -> Tensor:

@@ -2,7 +2,8 @@ import pytest
 import torch
 
 from pwm_gym.dynamics import CompactConfig, CompactModel, WorldModel, rollout
-from pwm_gym.dynamics.compact import _gate
+from pwm_gym.dynamics.compact import _FLIGHT, _gate
+from pwm_gym.dynamics.contact import FALL, ContactFeatures
 from pwm_gym.robots import Control
 from pwm_gym.scene import PointState, RigidState
 from pwm_gym.scene.se3 import make_pose, rotation_from_vector
@@ -121,7 +122,7 @@ def test_a_resting_hand_rests_under_a_zero_action(model, hand_scenes):
 
 @torch.no_grad()
 def test_shut_gates_leave_an_object_exactly_where_it_is(model, state, action):
-    model.head.bias[:2] = -20.0
+    model.head.bias[[0, 1, _FLIGHT]] = -20.0
     after = model.step(state, action)
     cube = state.layout.index("cube")
     torch.testing.assert_close(after.poses()[:, cube], state.poses()[:, cube], atol=1e-6, rtol=0)
@@ -129,7 +130,7 @@ def test_shut_gates_leave_an_object_exactly_where_it_is(model, state, action):
 
 @torch.no_grad()
 def test_an_attached_object_moves_with_the_hand_exactly(model, state, action):
-    model.head.bias[0], model.head.bias[1] = 20.0, -20.0
+    model.head.bias[[0, 1, _FLIGHT]] = torch.tensor([20.0, -20.0, -20.0])
     hand, cube = state.layout.index("hand"), state.layout.index("cube")
 
     def held(s):
@@ -139,6 +140,45 @@ def test_an_attached_object_moves_with_the_hand_exactly(model, state, action):
         after = model.step(state, action)
         torch.testing.assert_close(held(after), held(state), atol=2e-6, rtol=0)
         state = after
+
+
+@torch.no_grad()
+def test_an_object_in_free_flight_falls_and_goes_on_turning(model, state, action):
+    model.head.bias[[0, 1, _FLIGHT]] = torch.tensor([-20.0, -20.0, 20.0])
+    cube, steps = state.layout.index("cube"), 4
+    middle = state.clouds[:, state.layout["cube"].slice].mean(1)
+
+    def centre(poses):
+        return (poses[:, cube, :3, :3] @ middle.unsqueeze(-1)).squeeze(-1) + poses[:, cube, :3, 3]
+
+    start, before = (centre(state.frames[:, k]) for k in (0, 1))
+    turn = state.frames[:, 0, cube, :3, :3] @ state.frames[:, 1, cube, :3, :3].transpose(1, 2)
+    rotation = state.frames[:, 0, cube, :3, :3]
+    for _ in range(steps):
+        state = model.step(state, action)
+        rotation = turn @ rotation
+    expected = start + steps * (start - before)
+    expected[:, 2] += FALL * steps * (steps + 1) / 2
+    torch.testing.assert_close(centre(state.poses()), expected, atol=1e-5, rtol=0)
+    torch.testing.assert_close(state.poses()[:, cube, :3, :3], rotation, atol=1e-4, rtol=0)
+
+
+@torch.no_grad()
+def test_contact_features_tell_a_point_inside_a_link_from_one_outside(model, state, action):
+    contact: ContactFeatures = model.contact
+    seen = []
+    contact.net.register_forward_pre_hook(lambda _, given: seen.append(given[0]))
+    hand, cube = state.layout.index("hand"), state.layout.index("cube")
+    for shift in (0.0, 1.0):  # the cube's centre at the middle of the hand's box, and a metre above
+        cloud = state.clouds[:, state.layout["hand"].slice][:, : model.config.points]
+        middle = 0.5 * (cloud.amin(1) + cloud.amax(1))
+        frames = state.frames.clone()
+        frames[:, :, cube] = frames[:, :1, hand] @ make_pose(torch.eye(3).expand(4, 3, 3), middle).unsqueeze(1)
+        frames[:, :, cube, 2, 3] += shift
+        model.step(RigidState(state.layout, state.clouds, frames), action)
+    now, soon = 12, 13  # signed distances to the root link's box
+    inside, outside = (x.amin(-2)[:, 0] for x in seen)
+    assert (inside[:, [now, soon]] < -0.5).all() and (outside[:, [now, soon]] > 0.9).all()
 
 
 def test_gates_reach_zero_and_one_and_keep_their_gradient():
