@@ -10,8 +10,8 @@ which makes the model exactly equivariant to turns about the base's vertical axi
   response (:mod:`pwm_gym.dynamics.response`) plus a learned twist. Both corrections vanish at rest without a command.
 - Links that slide on the root move along their joints, within the joints' limits.
 - Every other entity moves by ``a * (the end effector's motion) + f * (free flight) + m * (a learned twist)``, with
-  gates that reach 0 and 1 exactly: an untouched object rests and a held one does not slip, for any number of steps. Its
-  token is told of its contacts (:mod:`pwm_gym.dynamics.contact`).
+  gates that reach 0 and 1 exactly: an untouched object rests and a held one does not slip, for any number of steps.
+- Tokens are told of imminent contacts (:mod:`pwm_gym.dynamics.contact`).
 """
 
 from __future__ import annotations
@@ -108,9 +108,6 @@ class CompactModel(nn.Module):
         self.action = nn.Sequential(nn.Linear(action_size, c.width), nn.GELU(), nn.Linear(c.width, c.width))
         self.register = nn.Parameter(0.02 * torch.randn(c.registers, c.width))
         self.contact = ContactFeatures(layout, effector, c.points, c.point_width, c.width)
-        places = F.one_hot(torch.tensor(self.contact.free, dtype=torch.long), len(layout)).float()
-        self.free_place: Tensor
-        self.register_buffer("free_place", places, persistent=False)  # (F, E): 1 at each free entity
         self.blocks = nn.ModuleList(_Block(c.width, c.heads, c.mlp_ratio) for _ in range(c.blocks))
         self.norm = nn.LayerNorm(c.width)
         self.head = nn.Linear(c.width, 9)  # attachment, movement, twist, flight
@@ -172,8 +169,7 @@ class CompactModel(nn.Module):
     def _tokens(self, state: RigidState, outlook: _Outlook, action: Tensor) -> Tensor:
         """Entity tokens (B, E, C) after attention over [entities, action, registers]."""
         entities = self._entities(state, self._context(state.frames, outlook))
-        told = self.contact(state, *self._links(state, outlook))
-        entities = entities + (told.transpose(1, 2) @ self.free_place).transpose(1, 2)
+        entities = entities + self.contact(state, *self._links(state, outlook))
         if outlook.arm is not None:
             entities = entities + self.arm_place * self.arm_token(outlook.arm.features).unsqueeze(1)
         command = self.action(self._turned(action, self._roots(state.frames)[:, 0, :3, :3])).unsqueeze(1)

@@ -1,8 +1,9 @@
-"""What the contacts of an object depend on, point by point: its motion, the table, the end effector's boxes.
+"""What contacts depend on, point by point: motion, the table, the bounding boxes of the end effector's links.
 
-An object's points are carried on by their own velocities for one step, and the end effector's links by what is known
-of theirs; where the points then lie above the table and outside or inside the links' bounding boxes says who is about
-to hit whom. A small network reads it, and the largest and mean of its outputs tell the entity's token.
+An object's points are carried on by their own velocities for one step, or by the hand, and the end effector's links by
+what is known of their motion. Where the points then lie, above or below the table's surface and outside or inside the
+links' boxes, says who is about to hit whom. Small networks read it point by point; the largest and the mean of their
+outputs tell the entities' tokens.
 """
 
 from __future__ import annotations
@@ -23,13 +24,13 @@ _LENGTH, _NEAR, _TOUCH, _STEP = 0.1, 0.01, 0.005, 0.01  # metres that count as 1
 
 
 class ContactFeatures(nn.Module):
-    """Contact features of entities that the robot does not drive.
+    """What the contacts of each entity depend on, as an addition to its token.
 
     Args:
         layout: the scene's entities.
         effector: the end effector's kinematics.
         points: points of each entity that are read, its cloud's first.
-        width: channels of the per-point network.
+        width: channels of the per-point networks.
         size: channels of a token.
     """
 
@@ -37,24 +38,46 @@ class ContactFeatures(nn.Module):
         super().__init__()
         self.free = [i for i, e in enumerate(layout) if not e.effector]
         self._links, self._points = [effector.root, *effector.sliding], points
-        self.net = nn.Sequential(
-            nn.Linear(12 + 5 * len(self._links), width), nn.GELU(), nn.Linear(width, width), nn.GELU()
-        )
-        self.out = nn.Linear(2 * width, size)
+        order = [*self._links, *self.free]
+        self._places = [order.index(i) for i in range(len(layout))]
+        self.link = _Pooled(6, width, size)
+        self.object = _Pooled(14 + 5 * len(self._links), width, size)
 
     def forward(self, state: RigidState, links: Tensor, links_next: Tensor) -> Tensor:
-        """What is added to the tokens of the free entities (B, F, C).
+        """What is added to the tokens of the entities (B, E, C).
 
         Args:
             state: the scenes.
             links: poses (B, 1 + S, 4, 4) of the root link and the sliding links.
             links_next: the same one step later, as far as they are known.
         """
-        points, before = (self._cloud(state, state.frames[:, k]) for k in (0, 1))  # (B, F, n, 3)
+        told = [self.link(self._of_links(state, links, links_next))]
+        if self.free:
+            told.append(self.object(self._of_objects(state, links, links_next)))
+        return torch.cat(told, 1)[:, self._places]
+
+    def _of_links(self, state: RigidState, links: Tensor, links_next: Tensor) -> Tensor:
+        """Features (B, 1 + S, n, K) of the links' points: where they are, and how far they would enter the table."""
+        canonical = self._canonical(state, self._links)
+        points, after = transform(links, canonical), transform(links_next, canonical)
+        height, next_height = points[..., 2:], after[..., 2:]
+        parts = [
+            _seen(points, links[:, :1]) / _LENGTH,
+            torch.tanh(height / _NEAR),
+            torch.tanh(next_height / _NEAR),
+            torch.tanh(next_height / _TOUCH),
+        ]
+        return torch.cat(parts, -1)
+
+    def _of_objects(self, state: RigidState, links: Tensor, links_next: Tensor) -> Tensor:
+        """Features (B, F, n, K) of the objects' points: motion, table, and the links' boxes."""
+        canonical = self._canonical(state, self.free)
+        points, before = (transform(state.frames[:, k, self.free], canonical) for k in (0, 1))
         after = 2 * points - before
         root, root_next = links[:, :1], links_next[:, :1]
         local, local_next = _seen(points, root), _seen(after, root_next)
         height, falling = points[..., 2:], after[..., 2:] + FALL
+        carried = transform(root_next, local)[..., 2:]
         parts = [
             local / _LENGTH,
             (local_next - local) / _STEP,
@@ -62,6 +85,8 @@ class ContactFeatures(nn.Module):
             height.clamp(-1, 1) / _LENGTH,
             torch.tanh(height / _NEAR),
             torch.tanh(falling / _NEAR),
+            torch.tanh(carried / _NEAR),
+            torch.tanh(carried / _TOUCH),
         ]
         for i, k in enumerate(self._links):
             cloud = state.clouds[:, state.layout.entities[k].slice][:, : self._points]
@@ -69,15 +94,27 @@ class ContactFeatures(nn.Module):
             gap, _ = _box_gap(_seen(points, links[:, i, None]), low, high)
             gap_next, way = _box_gap(_seen(after, links_next[:, i, None]), low, high)
             parts += [torch.tanh(gap / _TOUCH), torch.tanh(gap_next / _TOUCH), torch.tanh(way / _NEAR)]
-        features = self.net(torch.cat(parts, -1))
-        return self.out(torch.cat([features.amax(-2), features.mean(-2)], -1))
+        return torch.cat(parts, -1)
 
-    def _cloud(self, state: RigidState, poses: Tensor) -> Tensor:
-        """World points (B, F, n, 3) of the free entities at poses (B, E, 4, 4)."""
-        count = min(self._points, *(state.layout.entities[k].points for k in self.free))
-        starts = [state.layout.entities[k].start for k in self.free]
-        canonical = torch.stack([state.clouds[:, s : s + count] for s in starts], 1)
-        return transform(poses[:, self.free], canonical)
+    def _canonical(self, state: RigidState, entities: list[int]) -> Tensor:
+        """Canonical points (B, F, n, 3) of some entities, equally many of each."""
+        chosen = [state.layout.entities[k] for k in entities]
+        count = min(self._points, *(e.points for e in chosen))
+        return torch.stack([state.clouds[:, e.start : e.start + count] for e in chosen], 1)
+
+
+class _Pooled(nn.Module):
+    """A network of points, and what its largest and mean outputs tell."""
+
+    def __init__(self, features: int, width: int, size: int) -> None:
+        super().__init__()
+        self.net = nn.Sequential(nn.Linear(features, width), nn.GELU(), nn.Linear(width, width), nn.GELU())
+        self.out = nn.Linear(2 * width, size)
+
+    def forward(self, features: Tensor) -> Tensor:
+        """(..., C) of points' features (..., n, K)."""
+        hidden = self.net(features)
+        return self.out(torch.cat([hidden.amax(-2), hidden.mean(-2)], -1))
 
 
 def _seen(points: Tensor, pose: Tensor) -> Tensor:

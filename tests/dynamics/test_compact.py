@@ -5,7 +5,7 @@ from pwm_gym.dynamics import CompactConfig, CompactModel, WorldModel, rollout
 from pwm_gym.dynamics.compact import _FLIGHT, _gate
 from pwm_gym.dynamics.contact import FALL, ContactFeatures
 from pwm_gym.robots import Control
-from pwm_gym.scene import PointState, RigidState
+from pwm_gym.scene import Layout, PointState, RigidState
 from pwm_gym.scene.se3 import make_pose, rotation_from_vector
 
 CONTROL = Control(vectors=((0, 3), (3, 6)))
@@ -167,7 +167,7 @@ def test_an_object_in_free_flight_falls_and_goes_on_turning(model, state, action
 def test_contact_features_tell_a_point_inside_a_link_from_one_outside(model, state, action):
     contact: ContactFeatures = model.contact
     seen = []
-    contact.net.register_forward_pre_hook(lambda _, given: seen.append(given[0]))
+    contact.object.register_forward_pre_hook(lambda _, given: seen.append(given[0]))
     hand, cube = state.layout.index("hand"), state.layout.index("cube")
     for shift in (0.0, 1.0):  # the cube's centre at the middle of the hand's box, and a metre above
         cloud = state.clouds[:, state.layout["hand"].slice][:, : model.config.points]
@@ -176,7 +176,7 @@ def test_contact_features_tell_a_point_inside_a_link_from_one_outside(model, sta
         frames[:, :, cube] = frames[:, :1, hand] @ make_pose(torch.eye(3).expand(4, 3, 3), middle).unsqueeze(1)
         frames[:, :, cube, 2, 3] += shift
         model.step(RigidState(state.layout, state.clouds, frames), action)
-    now, soon = 12, 13  # signed distances to the root link's box
+    now, soon = 14, 15  # signed distances to the root link's box
     inside, outside = (x.amin(-2)[:, 0] for x in seen)
     assert (inside[:, [now, soon]] < -0.5).all() and (outside[:, [now, soon]] > 0.9).all()
 
@@ -241,6 +241,15 @@ def test_a_coarser_scene_works(model, state, action):
     after = model.step(coarse, action)
     assert after.points().shape == (4, 20, 3)
     assert after.layout == coarse.layout
+
+
+@torch.no_grad()
+def test_a_scene_without_objects_works(state, action):
+    alone = Layout(state.layout.entities[:3])
+    hand = RigidState(alone, state.clouds[:, : alone.points], state.frames[:, :, :3])
+    after = model_of(alone).step(hand, action)
+    assert after.points().shape == (4, alone.points, 3)
+    assert (after.poses() - hand.poses()).abs().amax((-1, -2)).min() > 1e-4
 
 
 @torch.no_grad()
