@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import torch
 from torch import Tensor, nn
+from torch.nn import functional as F
 
 from pwm_gym.dynamics.pointwise import PointwiseConfig, PointwiseModel, velocity_head
 from pwm_gym.robots import Control
@@ -41,7 +42,8 @@ class GraphModel(PointwiseModel):
         width = config.width
         self.node = _mlp(self.channels + action_size, width)
         self.edge = _mlp(4, width)
-        self.message = _mlp(3 * width, width)
+        self.receive, self.send = nn.Linear(width, width), nn.Linear(width, width, bias=False)
+        self.message = nn.Linear(width, width)
         self.update = _mlp(2 * width, width)
         self.head = velocity_head(width, config.head_layers)
 
@@ -55,8 +57,9 @@ class GraphModel(PointwiseModel):
         edges = self.edge(torch.cat([apart, apart.norm(dim=-1, keepdim=True)], -1))  # (B, N, K, W)
         nodes = self.node(torch.cat([rows, action.unsqueeze(1).expand(-1, rows.shape[1], -1)], -1))
         for _ in range(self.config.rounds):
-            own = nodes.unsqueeze(2).expand(-1, -1, count, -1)
-            heard = self.message(torch.cat([own, _gather(nodes, senders), edges], -1)).mean(2)
+            # An MLP of [receiver, sender, edge], the mean over senders taken before its last layer, which is linear.
+            hidden = self.receive(nodes).unsqueeze(2) + _gather(self.send(nodes), senders) + edges
+            heard = self.message(F.gelu(hidden).mean(2))
             nodes = nodes + self.update(torch.cat([nodes, heard], -1))
         return self.head(nodes)
 

@@ -1,7 +1,7 @@
 """Multi-step supervised training of world models (paper, section 3, "Training Objective").
 
-Every batch is a pure function of (seed, step, rank), so a killed run resumes to the same result. Several processes
-(``torchrun``) share the work through PyTorch's DistributedDataParallel.
+Every batch, and a network's own randomness, is a pure function of (seed, step, rank), so a killed run resumes to the
+same result. Several processes (``torchrun``) share the work through PyTorch's DistributedDataParallel.
 """
 
 from __future__ import annotations
@@ -109,8 +109,10 @@ class TrainConfig:
     """Initial weights and batches."""
     threads: int = 2
     """PyTorch threads a process."""
-    validate_every: int = 1000
-    """Optimiser steps between validation rollouts; the training state is saved then, too."""
+    validate_every: int = 2000
+    """Optimiser steps between validation rollouts; a checkpoint is saved then, too."""
+    save_every: int = 250
+    """Optimiser steps between saves of the state that a killed run resumes from."""
     device: str = "cpu"
     """PyTorch device."""
 
@@ -241,6 +243,8 @@ def train(
                 bar.set_postfix(loss=f"{loss:.4f}", **{k: f"{v:.4f}" for k, v in metrics.items()})
             if run.step % config.validate_every == 0 or run.step == config.steps:
                 metrics = run.checkpoint(validate, save)
+            elif run.step % config.save_every == 0:
+                run.save_state()
     run.finish()
     return metrics
 
@@ -295,7 +299,9 @@ class _Run:
     def update(self, batches: Batches) -> float:
         """One optimiser step; returns its loss."""
         horizon, size = self.config.phase(self.step)
-        generator = torch.Generator().manual_seed((self.config.seed * 1_000_003 + self.step) * 1_009 + self.rank)
+        seed = (self.config.seed * 1_000_003 + self.step) * 1_009 + self.rank
+        generator = torch.Generator().manual_seed(seed)
+        torch.manual_seed(seed)  # of a network's own randomness
         batch = batches.sample(generator, max(1, size // self.world), horizon)
         batch = batch.to(self.config.device)
         for group in self.optimizer.param_groups:
@@ -351,9 +357,16 @@ class _Run:
         save(self.model, metrics)
         self.model.load_state_dict(last)
         self.log({f"validation/{k}": v for k, v in metrics.items()})
+        self.save_state()
+        return metrics
+
+    def save_state(self) -> None:
+        """Save what a killed run resumes from (the first process alone)."""
+        if not self.leads:
+            return
         state = {
             "config": repr(self.config),
-            "model": last,
+            "model": self.model.state_dict(),
             "optimizer": self.optimizer.state_dict(),
             "average": self.average,
             "step": self.step,
@@ -361,7 +374,6 @@ class _Run:
         temporary = self.folder / f".{_STATE}"
         torch.save(state, temporary)
         temporary.replace(self.folder / _STATE)
-        return metrics
 
     def finish(self) -> None:
         """Leave the averaged weights in the model and close what is open."""

@@ -119,11 +119,18 @@ TABLES: dict[str, Table] = {
     "data": Table(
         "Training data",
         (
-            Row("all kinds", training=_QUICK, plan=20),
+            Row("all episodes", training=_QUICK, plan=20),
             Row("no random switches", training=_QUICK, kinds=("expert", "practice"), plan=20),
             Row("demonstrations alone", training=_QUICK, kinds=("expert", "randomised"), plan=20),
             Row("demonstrations without random switches", training=_QUICK, kinds=("expert",), plan=20),
-            *(Row(f"{n} episodes", training=_QUICK, episodes=n) for n in (100, 300, 1000)),
+            *(Row(f"{n} of them", training=_QUICK, episodes=n) for n in (1000, 300, 100)),
+        ),
+    ),
+    "head": Table(
+        "What a network of points predicts",
+        (
+            Row("each entity's rigid motion", "paper-small", training=_LONG),
+            Row("each point's velocity", "paper-small", _SEES, training=_LONG),
         ),
     ),
     "arm": Table(
@@ -219,10 +226,12 @@ def _run(piece: _Piece) -> None:
         view=row.view,
         episodes=row.episodes,
         kinds=row.kinds,
+        error_steps=0,
     )
     training = replace(row.training, seed=piece.seed)
-    model = load_checkpoint(fit(config, training, validation_metrics, progress=False), piece.task).model
+    checkpoint = load_checkpoint(fit(config, training, validation_metrics, progress=False), piece.task)
     minutes = (time.perf_counter() - begun) / 60
+    model = checkpoint.model
     test = load_split(piece.data, "test", piece.task)
     seen = visible_split(piece.data, "test", task, test) if row.view == "partial" else None
     table = evaluate_rollouts(model, task, test, every=10, progress=False, seen=seen)
@@ -230,6 +239,7 @@ def _run(piece: _Piece) -> None:
         "seed": piece.seed,
         "minutes": minutes,
         "sample_steps": sum(h * steps * batch for h, steps, batch in training.phases),
+        "episodes": sum(checkpoint.description["training"]["data"]["episodes"].values()),
         "parameters": sum(p.numel() for p in model.parameters()),  # type: ignore[attr-defined]
         "splits": table,
         "planning": _planning(model, task, row.plan) if row.plan else None,
@@ -265,6 +275,7 @@ def _joined(row: Row, runs: list[dict[str, Any]], moved: str) -> dict[str, Any]:
         "seeds": len(runs),
         "minutes": float(np.mean([r["minutes"] for r in runs])),
         "sample_steps": runs[0]["sample_steps"],
+        "episodes": runs[0]["episodes"],
         "parameters": runs[0]["parameters"],
         "splits": splits,
         "planning": [r["planning"] for r in runs if r["planning"] is not None],

@@ -34,6 +34,16 @@ def compact(windows, seed=0):
     return model
 
 
+def small_paper(seed=0):
+    torch.manual_seed(seed)
+    small = PaperConfig(
+        encoder_depths=(1, 1, 1), encoder_channels=(8, 16, 32), encoder_heads=(2, 2, 4), encoder_patches=(64, 16, 64),
+        decoder_depths=(1, 1), decoder_channels=(16, 16), decoder_heads=(2, 2), decoder_patches=(64, 16),
+        bottleneck_heads=4, mlp_ratio=2, grid_size=0.01,
+    )  # fmt: skip
+    return PaperModel(LAYOUT, 7, config=small)
+
+
 def nothing(model):
     return {}
 
@@ -120,6 +130,30 @@ def test_an_interrupted_run_resumes_to_the_same_weights(windows, tmp_path):
     assert any(not torch.equal(other[k], whole[k]) for k in whole)  # the comparison can fail
 
 
+class Cut:
+    """Batches that end in an interrupt."""
+
+    def __init__(self, windows, at):
+        self.windows, self.left = windows, at
+
+    def sample(self, generator, batch, horizon):
+        if self.left == 0:
+            raise KeyboardInterrupt
+        self.left -= 1
+        return self.windows.sample(generator, batch, horizon)
+
+
+@pytest.mark.parametrize("make", [compact, lambda windows, seed=0: small_paper(seed)], ids=["compact", "paper"])
+def test_a_run_cut_between_validations_resumes_to_the_same_weights(windows, tmp_path, make):
+    config = replace(QUICK, phases=((1, 5, 4),), validate_every=100, save_every=2)
+    whole = run(make(windows), windows, config, tmp_path / "whole")
+    with pytest.raises(KeyboardInterrupt):
+        run(make(windows), Cut(windows, 3), config, tmp_path / "cut")
+    assert torch.load(tmp_path / "cut" / "training-state.pt", weights_only=True)["step"] == 2
+    torch.rand(7)  # which moves the global generator: a network's own randomness is the step's
+    assert_equal(run(make(windows, seed=5), windows, config, tmp_path / "cut"), whole)
+
+
 def test_a_finished_run_is_left_alone(windows, tmp_path):
     first = run(compact(windows), windows, QUICK, tmp_path)
     saved = []
@@ -185,13 +219,7 @@ def test_the_step_schedule_drops_tenfold(windows, tmp_path, steps, rate):
 
 
 def test_the_papers_model_trains_in_the_same_loop(windows, tmp_path):
-    torch.manual_seed(0)
-    small = PaperConfig(
-        encoder_depths=(1, 1, 1), encoder_channels=(8, 16, 32), encoder_heads=(2, 2, 4), encoder_patches=(64, 16, 64),
-        decoder_depths=(1, 1), decoder_channels=(16, 16), decoder_heads=(2, 2), decoder_patches=(64, 16),
-        bottleneck_heads=4, mlp_ratio=2, grid_size=0.01,
-    )  # fmt: skip
-    model = PaperModel(LAYOUT, 7, config=small)
+    model = small_paper()
     before = {k: v.clone() for k, v in model.named_parameters()}
     run(model, windows, replace(TrainConfig.paper(1, 2), phases=((2, 1, 2),), threads=1), tmp_path)
     moved = [k for k, v in model.named_parameters() if not torch.equal(v, before[k])]

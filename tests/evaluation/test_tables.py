@@ -23,7 +23,7 @@ def test_a_table_has_each_row_with_its_seeds_and_goes_on_where_it_was(tiny, data
     table = run_table("tiny", data_folder, tmp_path)
     (row,) = table["rows"]
     assert (table["caption"], row["row"], row["seeds"], row["paper, other data"]) == ("A tiny table", "One", 2, "0.009")
-    assert row["sample_steps"] == 16 and row["parameters"] > 100
+    assert row["sample_steps"] == 16 and row["parameters"] > 100 and row["episodes"] == 8
     assert row["splits"]["all"]["chamfer_l1"]["mean"] > 0
     results = {json.loads(p.read_text())["seed"]: p for p in tmp_path.glob("compact-*/result.json")}
     assert set(results) == {0, 1}
