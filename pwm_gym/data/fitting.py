@@ -57,7 +57,7 @@ class FitConfig:
     arm_steps: int = 6000
     """Optimiser steps, before training begins, on the response of a known arm's joints."""
     error_steps: int = 3000
-    """Optimiser steps, after training, on what the model expects to be its error; 0 leaves that unfitted."""
+    """Optimiser steps, after training, on what the model expects to be its error."""
     boost: float = _BOOST
     """How much likelier windows with an object's own motion are drawn."""
 
@@ -112,7 +112,7 @@ def fit(config: FitConfig, training: TrainConfig, validate: Validate, progress: 
         return validate(trained, held_out, held_out_seen)
 
     metrics = train(model, windows, training, config.out, measure, save, progress)
-    if leads() and config.error_steps and getattr(model, "error", None) is not None:
+    if leads() and getattr(model, "error", None) is not None:
         fit_error(model, dataset, config.error_steps)
         save(model, metrics or measure(model))  # a resumed run may have had nothing left to train
     return checkpoint
@@ -155,9 +155,9 @@ def fit_error(model: Any, dataset: Dataset, steps: int) -> None:
     tokens, errors = [], []
     for batch in windows.chunks(_ERROR_CHUNK):
         state = model.prepare(batch.state().coarsen(dataset.layout.truncate(_ERROR_POINTS)))
-        action = batch.actions[:, 0]
-        errors.append(_gaps(model.step(state, action), batch.following[:, 0]))
-        tokens.append(model.tokens(state, action))
+        after, seen = model.step_with_tokens(state, batch.actions[:, 0])
+        errors.append(_gaps(after, batch.following[:, 0]))
+        tokens.append(seen)
     with torch.enable_grad():
         model.error.fit(torch.cat(tokens), torch.cat(errors), steps)
     _scale_error(model, windows)

@@ -141,6 +141,10 @@ class CompactModel(nn.Module):
 
     def step(self, state: State, action: Tensor) -> RigidState:
         """State (B,) one control step after action (B, A)."""
+        return self.step_with_tokens(state, action)[0]
+
+    def step_with_tokens(self, state: State, action: Tensor) -> tuple[RigidState, Tensor]:
+        """The same, and the entity tokens (B, E, C) that its motions were decoded from."""
         assert isinstance(state, RigidState)
         outlook = self._foresee(state, action)
         tokens = self._tokens(state, outlook, action)  # (B, E, C)
@@ -148,12 +152,7 @@ class CompactModel(nn.Module):
         error = None
         if self.error is not None and state.error is not None:
             error = state.error + self.error(tokens)
-        return state.advance(self._move(state, outlook, root, self.head(tokens)), joints, error)
-
-    def tokens(self, state: State, action: Tensor) -> Tensor:
-        """What the motion of each entity under ``action`` (B, A) is decoded from (B, E, C)."""
-        assert isinstance(state, RigidState)
-        return self._tokens(state, self._foresee(state, action), action)
+        return state.advance(self._move(state, outlook, root, self.head(tokens)), joints, error), tokens
 
     def _foresee(self, state: RigidState, action: Tensor) -> _Outlook:
         openings = self.response.effector.openings(state.frames)

@@ -3,12 +3,14 @@ from dataclasses import replace
 
 import pytest
 
+from pwm_gym.dynamics import build_model
 from pwm_gym.dynamics.training import TrainConfig
 from pwm_gym.errors import DatasetError, UnknownNameError
 from pwm_gym.evaluation import TABLES, run_table
 from pwm_gym.evaluation.tables import Row, Table
+from pwm_gym.tasks import get_task
 
-TINY = {"points": 8, "point_width": 8, "width": 16, "blocks": 1, "kinematic": False}
+TINY = {"points": 8, "point_width": 8, "width": 16, "blocks": 1, "kinematic": False, "uncertain": False}
 QUICK = TrainConfig(phases=((1, 2, 8),), threads=1)
 
 
@@ -55,6 +57,14 @@ def test_rows_of_a_table_have_one_budget():
         assert max(budgets) < 1.01 * min(budgets)
         names = [row.name for row in table.rows]
         assert len(set(names)) == len(names)
+
+
+def test_every_row_names_a_model_with_its_settings():
+    task = get_task("PickCube")
+    for row in (row for table in TABLES.values() for row in table.rows):
+        model = build_model(row.model, task.layout, task.action_size, task.control, dict(row.settings))
+        assert {k: getattr(model.config, k) for k in row.settings} == row.settings
+        assert getattr(model, "error", None) is None  # nothing that stays unfitted
 
 
 def test_unknown_tables_and_too_many_episodes_are_named(tiny, data_folder, tmp_path, monkeypatch):
