@@ -11,7 +11,7 @@ which makes the model exactly equivariant to turns about the base's vertical axi
 - Links that slide on the root move along their joints, within the joints' limits.
 - Every other entity moves by ``a * (the end effector's motion) + f * (free flight) + m * (a learned twist)``, with
   gates that reach 0 and 1 exactly: an untouched object rests and a held one does not slip, for any number of steps.
-- Tokens are told of imminent contacts (:mod:`pwm_gym.dynamics.contact`).
+- Tokens are told of shapes and of imminent contacts (:mod:`pwm_gym.dynamics.contact`).
 """
 
 from __future__ import annotations
@@ -101,9 +101,8 @@ class CompactModel(nn.Module):
         self.response = LinearResponse(layout, action_size)
         effector = self.response.effector
         c, sliders = self.config, len(effector.sliding)
-        self.point_net = nn.Sequential(nn.Linear(5, c.point_width), nn.ReLU(), nn.Linear(c.point_width, c.point_width))
         context = 7 + 18 + 4 * sliders  # see _context
-        self.token = nn.Linear(2 * c.point_width + 24 + context, c.width)
+        self.token = nn.Linear(24 + context, c.width)
         self.kind = nn.Parameter(0.02 * torch.randn(len(layout), c.width))
         self.action = nn.Sequential(nn.Linear(action_size, c.width), nn.GELU(), nn.Linear(c.width, c.width))
         self.register = nn.Parameter(0.02 * torch.randn(c.registers, c.width))
@@ -167,7 +166,7 @@ class CompactModel(nn.Module):
 
     def _tokens(self, state: RigidState, outlook: _Outlook, action: Tensor) -> Tensor:
         """Entity tokens (B, E, C) after attention over [entities, action, registers]."""
-        entities = self._entities(state, self._context(state.frames, outlook))
+        entities = self._entities(state.frames, self._context(state.frames, outlook))
         entities = entities + self.contact(state, *self._links(state, outlook))
         if outlook.arm is not None:
             entities = entities + self.arm_place * self.arm_token(outlook.arm.features).unsqueeze(1)
@@ -239,9 +238,9 @@ class CompactModel(nn.Module):
             1,
         )
 
-    def _entities(self, state: RigidState, context: Tensor) -> Tensor:
-        """Entity tokens (B, E, C) of their points, poses and motions in the end effector's frame."""
-        frames, root = state.frames, self.response.effector.root
+    def _entities(self, frames: Tensor, context: Tensor) -> Tensor:
+        """Entity tokens (B, E, C) of their poses and motions (B, 3, E, 4, 4) in the end effector's frame."""
+        root = self.response.effector.root
         turn = frames[:, 0, root, :3, :3].unsqueeze(1)  # (B, 1, 3, 3)
         origin = frames[:, 0, root, :3, 3].unsqueeze(1)
         rotation = turn.transpose(-1, -2) @ frames[:, 0, :, :3, :3]  # (B, E, 3, 3)
@@ -251,20 +250,8 @@ class CompactModel(nn.Module):
         angular = moves[..., None, 3:] @ turn.unsqueeze(1) / _ROTATION
         motion = torch.cat([linear, angular], -1).squeeze(-2).transpose(1, 2).flatten(2)  # (B, E, 12)
         pose = torch.cat([rotation.flatten(2), offset / _LENGTH], -1)  # (B, E, 12)
-        shape = self._pooled(state, rotation, offset)
         shared = context.unsqueeze(1).expand(-1, len(self.layout), -1)
-        return self.token(torch.cat([shape, pose, motion, shared], -1)) + self.kind
-
-    def _pooled(self, state: RigidState, rotation: Tensor, offset: Tensor) -> Tensor:
-        """Largest and mean point features (B, E, 2 P) of each entity, from its pose in the end effector's frame."""
-        clouds, layout, root = state.clouds, state.layout, self._roots(state.frames)[:, 0]
-        count = min(self.config.points, *(e.points for e in layout))
-        canonical = torch.stack([clouds[:, e.start : e.start + count] for e in layout], 1)  # (B, E, k, 3)
-        points = canonical @ rotation.transpose(-1, -2) + offset.unsqueeze(-2)
-        height = (points @ root[:, None, 2, :3, None] + root[:, None, None, 2:3, 3]).clamp(-1, 1)
-        near = torch.tanh(height / _NEAR)
-        features = self.point_net(torch.cat([points / _LENGTH, height / _LENGTH, near], -1))
-        return torch.cat([features.amax(-2), features.mean(-2)], -1)
+        return self.token(torch.cat([pose, motion, shared], -1)) + self.kind
 
     def _move(self, state: RigidState, outlook: _Outlook, root: Tensor, decoded: Tensor) -> Tensor:
         """Next poses (B, E, 4, 4), given the root link's (B, 4, 4) and decoded tokens (B, E, 9)."""

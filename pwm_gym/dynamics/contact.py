@@ -1,4 +1,4 @@
-"""What contacts depend on, point by point: motion, the table, the bounding boxes of the end effector's links.
+"""What shapes and contacts tell: points of objects, corners of the links' bounding boxes, where both are going.
 
 An object's points are carried on by their own velocities for one step, or by the hand, and the end effector's links by
 what is known of their motion. Where the points then lie, above or below the table's surface and outside or inside the
@@ -24,7 +24,7 @@ _LENGTH, _NEAR, _TOUCH, _STEP = 0.1, 0.01, 0.005, 0.01  # metres that count as 1
 
 
 class ContactFeatures(nn.Module):
-    """What the contacts of each entity depend on, as an addition to its token.
+    """What the shape of each entity, and its contacts, tell its token.
 
     Args:
         layout: the scene's entities.
@@ -40,36 +40,43 @@ class ContactFeatures(nn.Module):
         self._links, self._points = [effector.root, *effector.sliding], points
         order = [*self._links, *self.free]
         self._places = [order.index(i) for i in range(len(layout))]
-        self.link = _Pooled(6, width, size)
+        self.link = _Pooled(7, width, size)
+        ends = torch.tensor([False, True])
+        self.corners: Tensor
+        self.register_buffer("corners", torch.cartesian_prod(ends, ends, ends), persistent=False)  # (8, 3)
         self.object = _Pooled(14 + 5 * len(self._links), width, size)
 
     def forward(self, state: RigidState, links: Tensor, links_next: Tensor) -> Tensor:
-        """What is added to the tokens of the entities (B, E, C).
+        """What the tokens of the entities are told (B, E, C).
 
         Args:
             state: the scenes.
             links: poses (B, 1 + S, 4, 4) of the root link and the sliding links.
             links_next: the same one step later, as far as they are known.
         """
-        told = [self.link(self._of_links(state, links, links_next))]
+        shapes = self._canonical(state, self._links)
+        boxes = torch.stack([shapes.amin(-2), shapes.amax(-2)], 2)  # (B, 1 + S, 2, 3)
+        told = [self.link(self._of_links(boxes, links, links_next))]
         if self.free:
-            told.append(self.object(self._of_objects(state, links, links_next)))
+            told.append(self.object(self._of_objects(state, boxes, links, links_next)))
         return torch.cat(told, 1)[:, self._places]
 
-    def _of_links(self, state: RigidState, links: Tensor, links_next: Tensor) -> Tensor:
-        """Features (B, 1 + S, n, K) of the links' points: where they are, and how far they would enter the table."""
-        canonical = self._canonical(state, self._links)
-        points, after = transform(links, canonical), transform(links_next, canonical)
+    def _of_links(self, boxes: Tensor, links: Tensor, links_next: Tensor) -> Tensor:
+        """Features (B, 1 + S, 8, K) of the boxes' corners: where they are, and how far they would enter the table."""
+        low, high = boxes.unsqueeze(-2).unbind(2)  # (B, 1 + S, 1, 3)
+        corners = torch.where(self.corners, high, low)
+        points, after = transform(links, corners), transform(links_next, corners)
         height, next_height = points[..., 2:], after[..., 2:]
         parts = [
             _seen(points, links[:, :1]) / _LENGTH,
+            height.clamp(-1, 1) / _LENGTH,
             torch.tanh(height / _NEAR),
             torch.tanh(next_height / _NEAR),
             torch.tanh(next_height / _TOUCH),
         ]
         return torch.cat(parts, -1)
 
-    def _of_objects(self, state: RigidState, links: Tensor, links_next: Tensor) -> Tensor:
+    def _of_objects(self, state: RigidState, boxes: Tensor, links: Tensor, links_next: Tensor) -> Tensor:
         """Features (B, F, n, K) of the objects' points: motion, table, and the links' boxes."""
         canonical = self._canonical(state, self.free)
         points, before = (transform(state.frames[:, k, self.free], canonical) for k in (0, 1))
@@ -88,9 +95,8 @@ class ContactFeatures(nn.Module):
             torch.tanh(carried / _NEAR),
             torch.tanh(carried / _TOUCH),
         ]
-        for i, k in enumerate(self._links):
-            cloud = state.clouds[:, state.layout.entities[k].slice][:, : self._points]
-            low, high = (x[:, None, None] for x in (cloud.amin(1), cloud.amax(1)))
+        for i in range(len(self._links)):
+            low, high = boxes[:, None, i, :, None].unbind(2)  # (B, 1, 1, 3)
             gap, _ = _box_gap(_seen(points, links[:, i, None]), low, high)
             gap_next, way = _box_gap(_seen(after, links_next[:, i, None]), low, high)
             parts += [torch.tanh(gap / _TOUCH), torch.tanh(gap_next / _TOUCH), torch.tanh(way / _NEAR)]
@@ -108,7 +114,7 @@ class _Pooled(nn.Module):
 
     def __init__(self, features: int, width: int, size: int) -> None:
         super().__init__()
-        self.net = nn.Sequential(nn.Linear(features, width), nn.GELU(), nn.Linear(width, width), nn.GELU())
+        self.net = nn.Sequential(nn.Linear(features, width), nn.ReLU(), nn.Linear(width, width), nn.ReLU())
         self.out = nn.Linear(2 * width, size)
 
     def forward(self, features: Tensor) -> Tensor:

@@ -72,7 +72,7 @@ class Batches(Protocol):
 class TrainConfig:
     """How to train. The defaults train the compact model; :meth:`paper` gives the paper's table."""
 
-    phases: tuple[tuple[int, int, int], ...] = ((1, 3000, 512), (5, 900, 256), (15, 400, 192))
+    phases: tuple[tuple[int, int, int], ...] = ((1, 4000, 512), (5, 1200, 256), (15, 500, 192))
     """(horizon H, optimiser steps, batch size), one after the other."""
     learning_rate: float = 1.5e-3
     """AdamW's, at its highest."""
