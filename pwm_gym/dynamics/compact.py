@@ -47,9 +47,9 @@ class CompactConfig:
     """Points of each entity that the network reads (the first of its cloud, which are well spread)."""
     point_width: int = 64
     """Channels of the per-point network."""
-    width: int = 128
+    width: int = 96
     """Channels of a token."""
-    blocks: int = 4
+    blocks: int = 2
     """Attention blocks over [entities, action, registers]."""
     heads: int = 4
     """Attention heads."""

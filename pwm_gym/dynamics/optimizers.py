@@ -1,0 +1,76 @@
+"""Optimisers of training by name: AdamW, or Muon on the hidden layers' matrices and AdamW on the rest."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import nn
+
+from pwm_gym.errors import unknown_name
+
+__all__ = ["OPTIMIZERS", "Optimizer", "build_optimizer"]
+
+OPTIMIZERS = ("muon", "adamw")
+
+_HIDDEN = 32  # a matrix with fewer rows or columns is a table, an input or an output, which Muon is not for
+
+
+class Optimizer:
+    """Several PyTorch optimisers, each of its own parameters, as one."""
+
+    def __init__(self, *parts: torch.optim.Optimizer) -> None:
+        self._parts = parts
+
+    def set_learning_rate(self, rate: float) -> None:
+        """Of all parameters."""
+        for part in self._parts:
+            for group in part.param_groups:
+                group["lr"] = rate
+
+    def zero_grad(self) -> None:
+        """Drop all gradients."""
+        for part in self._parts:
+            part.zero_grad(set_to_none=True)
+
+    def step(self) -> None:
+        """One update of all parameters."""
+        for part in self._parts:
+            part.step()
+
+    def state_dict(self) -> list[dict[str, Any]]:
+        """State to resume from."""
+        return [part.state_dict() for part in self._parts]
+
+    def load_state_dict(self, state: list[dict[str, Any]]) -> None:
+        """Resume from a :meth:`state_dict`."""
+        for part, own in zip(self._parts, state, strict=True):
+            part.load_state_dict(own)
+
+
+def build_optimizer(name: str, model: nn.Module, learning_rate: float, weight_decay: float) -> Optimizer:
+    """The optimiser called ``name`` of a model's parameters.
+
+    Args:
+        name: "adamw"; or "muon" (Jordan et al., 2024; Liu et al., 2025: its updates are as large as AdamW's), which
+            orthogonalises the updates of hidden layers' matrices and leaves all other parameters to AdamW.
+        model: to train.
+        learning_rate: of all parameters.
+        weight_decay: of all parameters.
+
+    Raises:
+        UnknownNameError: no optimiser has this name.
+    """
+    if name not in OPTIMIZERS:
+        raise unknown_name("optimizer", name, OPTIMIZERS)
+    parameters = list(model.parameters())
+    matrices = [p for p in parameters if name == "muon" and p.ndim == 2 and min(p.shape) >= _HIDDEN]
+    chosen = {id(p) for p in matrices}
+    others = [p for p in parameters if id(p) not in chosen]
+    parts: list[torch.optim.Optimizer] = []
+    if others:
+        parts.append(torch.optim.AdamW(others, lr=learning_rate, weight_decay=weight_decay))
+    if matrices:
+        muon = torch.optim.Muon(matrices, learning_rate, weight_decay, adjust_lr_fn="match_rms_adamw")
+        parts.append(muon)
+    return Optimizer(*parts)
