@@ -193,6 +193,7 @@ def test_the_papers_table():
     config = asdict(TrainConfig.paper(steps=10, batch=2))
     expected = {
         "phases": ((15, 10, 2),),
+        "optimizer": "adamw",
         "learning_rate": 1e-4,
         "schedule": "step",
         "step_size": 30,
@@ -214,8 +215,8 @@ def test_phases_follow_one_another():
 def test_the_step_schedule_drops_tenfold(windows, tmp_path, steps, rate):
     config = replace(TrainConfig.paper(), phases=((1, steps, 2),), epoch_steps=2, step_size=2, threads=1)
     run(compact(windows), windows, config, tmp_path)
-    state = torch.load(tmp_path / "training-state.pt", weights_only=True)["optimizer"]
-    assert state["param_groups"][0]["lr"] == pytest.approx(rate)
+    (adamw,) = torch.load(tmp_path / "training-state.pt", weights_only=True)["optimizer"]
+    assert adamw["param_groups"][0]["lr"] == pytest.approx(rate)
 
 
 def test_the_papers_model_trains_in_the_same_loop(windows, tmp_path):
