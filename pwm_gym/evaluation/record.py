@@ -13,7 +13,7 @@ from typing import Any
 
 import torch
 
-__all__ = ["describe_machine", "write_results"]
+__all__ = ["describe_commit", "describe_machine", "write_results"]
 
 
 def describe_machine() -> dict[str, Any]:
@@ -38,7 +38,7 @@ def _processor() -> str:
     return platform.processor() or platform.machine()
 
 
-def _commit() -> str | None:
+def describe_commit() -> str | None:
     """Commit of the source tree that this module lies in, with "+" where it has changes."""
     folder = Path(__file__).parent
     try:
@@ -55,7 +55,7 @@ def write_results(path: Path, results: dict[str, Any]) -> None:
     record = {
         "command": " ".join([Path(sys.argv[0]).name, *sys.argv[1:]]),
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
-        "commit": _commit(),
+        "commit": describe_commit(),
         "machine": describe_machine(),
         **results,
     }

@@ -25,6 +25,7 @@ from pwm_gym.dynamics import load_checkpoint
 from pwm_gym.dynamics.training import TrainConfig
 from pwm_gym.errors import unknown_name
 from pwm_gym.evaluation.planning import planning_table, run_episodes
+from pwm_gym.evaluation.record import describe_commit
 from pwm_gym.evaluation.report import evaluate_rollouts
 from pwm_gym.evaluation.rollouts import validation_metrics
 from pwm_gym.planning import Agent
@@ -238,6 +239,7 @@ def _run(piece: _Piece) -> None:
     seen = visible_split(piece.data, "test", task, test) if row.view == "partial" else None
     table = evaluate_rollouts(model, task, test, every=10, progress=False, seen=seen)
     result = {
+        "commit": describe_commit(),
         "seed": piece.seed,
         "minutes": minutes,
         "sample_steps": sum(h * steps * batch for h, steps, batch in training.phases),
@@ -274,6 +276,7 @@ def _joined(row: Row, runs: list[dict[str, Any]], moved: str) -> dict[str, Any]:
     return {
         "row": row.name,
         "paper, other data": row.paper,
+        "commits": sorted({str(r["commit"]) for r in runs}),
         "seeds": len(runs),
         "minutes": float(np.mean([r["minutes"] for r in runs])),
         "sample_steps": runs[0]["sample_steps"],

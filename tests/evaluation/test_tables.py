@@ -31,12 +31,13 @@ def test_a_table_has_each_row_with_its_seeds_and_goes_on_where_it_was(tiny, data
     assert set(results) == {0, 1}
     result = results[1]
     kept = json.loads(result.read_text())
-    kept["splits"]["all"]["chamfer_l1"] = 1.0
+    kept["splits"]["all"]["chamfer_l1"], kept["commit"] = 1.0, "0ld"
     result.write_text(json.dumps(kept))
     results[0].unlink()
     again = run_table("tiny", data_folder, tmp_path)["rows"][0]
     first = row["splits"]["all"]["chamfer_l1"]["mean"] * 2 - kept["splits"]["all"]["chamfer_l1"]
     assert first < 1.0 < again["splits"]["all"]["chamfer_l1"]["mean"] * 2
+    assert again["commits"] == sorted({"0ld", *row["commits"]})  # each piece tells which code made it
 
 
 def test_a_changed_row_is_trained_anew(tiny, data_folder, tmp_path, monkeypatch):
