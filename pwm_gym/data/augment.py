@@ -8,9 +8,9 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from pwm_gym.dynamics.training import Batch
+from pwm_gym.dynamics.training import Batch, Batches
 
-__all__ = ["reframe"]
+__all__ = ["Reframed", "reframe"]
 
 
 def _axis_rotations() -> Tensor:
@@ -24,6 +24,17 @@ def _axis_rotations() -> Tensor:
 
 
 _AXES = _axis_rotations()
+
+
+class Reframed:
+    """Windows whose objects' axes are named at random (:func:`reframe`)."""
+
+    def __init__(self, windows: Batches) -> None:
+        self._windows = windows
+
+    def sample(self, generator: torch.Generator, batch: int, horizon: int) -> Batch:
+        """``batch`` windows of ``horizon`` steps."""
+        return reframe(self._windows.sample(generator, batch, horizon), generator)
 
 
 def reframe(batch: Batch, generator: torch.Generator) -> Batch:

@@ -11,7 +11,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from pwm_gym.data.augment import reframe
 from pwm_gym.data.episodes import KINDS, Episode, read_shard
 from pwm_gym.dynamics.training import Batch
 from pwm_gym.errors import DatasetError, unknown_name
@@ -146,11 +145,11 @@ class Windows:
         return self._tables[horizon]
 
     def sample(self, generator: torch.Generator, batch: int, horizon: int) -> Batch:
-        """``batch`` windows of ``horizon`` steps, objects' axes named at random."""
+        """``batch`` windows of ``horizon`` steps."""
         frames, cumulative = self._table(horizon)
         draw = torch.rand(batch, generator=generator, dtype=torch.float64) * cumulative[-1]
         chosen = frames[torch.searchsorted(cumulative, draw).clamp_max(len(frames) - 1)]
-        return reframe(self.at(chosen, horizon, generator), generator)
+        return self.at(chosen, horizon, generator)
 
     def transitions(self) -> Batch:
         """Every single step of the data set, as windows of one."""

@@ -13,6 +13,7 @@ import numpy as np
 import torch
 from torch import nn
 
+from pwm_gym.data.augment import Reframed
 from pwm_gym.data.dataset import Dataset, Windows, load_split, read_header
 from pwm_gym.data.episodes import KINDS
 from pwm_gym.data.partial import PartialWindows, visible_split
@@ -111,7 +112,7 @@ def fit(config: FitConfig, training: TrainConfig, validate: Validate, progress: 
     def measure(trained: Any) -> dict[str, float]:
         return validate(trained, held_out, held_out_seen)
 
-    metrics = train(model, windows, training, config.out, measure, save, progress)
+    metrics = train(model, Reframed(windows), training, config.out, measure, save, progress)
     if leads() and getattr(model, "error", None) is not None:
         fit_error(model, dataset, config.error_steps)
         save(model, metrics or measure(model))  # a resumed run may have had nothing left to train

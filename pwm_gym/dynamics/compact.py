@@ -35,7 +35,8 @@ __all__ = ["CompactConfig", "CompactModel"]
 # Scales that bring features to order 1; metres, radians, per step where it is a motion.
 _LENGTH, _NEAR = 0.1, 0.01
 _TRANSLATION, _ROTATION, _OPENING = 0.01, 0.05, 0.005
-_AFOOT = 0.001  # metres a step; what is slower has nothing to fly on with
+_LEVER = 0.01  # metres: makes a turn a speed
+_RESTS, _AFOOT = 0.0005, 0.001  # metres a step: what is slower does not fly at all, or hardly
 _FLIGHT = 8  # place of its gate in a decoded token
 
 
@@ -46,7 +47,7 @@ class CompactConfig:
     points: int = 32
     """Points of each entity that the network reads (the first of its cloud, which are well spread)."""
     point_width: int = 64
-    """Channels of the per-point network."""
+    """Channels of the per-point networks."""
     width: int = 96
     """Channels of a token."""
     blocks: int = 2
@@ -267,17 +268,13 @@ class CompactModel(nn.Module):
                 moved[k] = pose
         turn = twist(before, root)[:, 3:]
         for k in self.contact.free:
-            middle = state.clouds[:, state.layout.entities[k].slice].mean(1)  # canonical (B, 3)
+            cloud = state.clouds[:, state.layout.entities[k].slice][:, : self.config.points]
+            middle = cloud.mean(1)  # canonical (B, 3); of what training sees, however many points a state has
             centre = (now[:, k, :3, :3] @ middle.unsqueeze(-1)).squeeze(-1) + now[:, k, :3, 3]
             carried = torch.cat([_carried(centre, before, root), turn], -1)
             attached, moving, flying = (_gate(decoded[:, k, i : i + 1]) for i in (0, 1, _FLIGHT))
-            last = state.frames[:, 1, k]
-            gone = centre - (last[:, :3, :3] @ middle.unsqueeze(-1)).squeeze(-1) - last[:, :3, 3]
-            turned = twist(last, now[:, k])[:, 3:]
-            flight = torch.cat([gone + gone.new_tensor([0.0, 0.0, FALL]), turned], -1)
-            afoot = torch.cat([gone, 0.1 * _LENGTH * turned], -1).square().sum(-1, keepdim=True)
-            flying = flying * torch.tanh((afoot + 1e-12).sqrt() / _AFOOT - 1e-6 / _AFOOT)  # what rests does not fall
-            move = attached * carried + moving * learned[:, k] + flying * flight
+            flight, afoot = _flight(state.frames[:, 1, k], now[:, k], middle)
+            move = attached * carried + moving * learned[:, k] + flying * afoot * flight
             moved[k] = _turn_about(now[:, k], middle, centre, move)
         return torch.stack(moved, 1)
 
@@ -300,6 +297,18 @@ def _carried(point: Tensor, before: Tensor, after: Tensor) -> Tensor:
     """Displacement (B, 3) of a world-frame point (B, 3) that moves with a link from pose to pose (B, 4, 4)."""
     local = ((point - before[:, :3, 3]).unsqueeze(1) @ before[:, :3, :3]).squeeze(1)
     return (after[:, :3, :3] @ local.unsqueeze(-1)).squeeze(-1) + after[:, :3, 3] - point
+
+
+def _flight(before: Tensor, now: Tensor, middle: Tensor) -> tuple[Tensor, Tensor]:
+    """Twist (B, 6) about a canonical point (B, 3) in free flight from poses (B, 4, 4), and how much it moved (B, 1).
+
+    The second is 0 where the object rested, so that what rests does not fall, and near 1 where it moved.
+    """
+    gone = ((now - before)[:, :3, :3] @ middle.unsqueeze(-1)).squeeze(-1) + (now - before)[:, :3, 3]
+    turned = twist(before, now)[:, 3:]
+    speed = (torch.cat([gone, _LEVER * turned], -1).square().sum(-1, keepdim=True) + 1e-12).sqrt()
+    afoot = torch.tanh((speed - _RESTS).clamp_min(0.0) / _AFOOT)
+    return torch.cat([gone + gone.new_tensor([0.0, 0.0, FALL]), turned], -1), afoot
 
 
 def _turn_about(pose: Tensor, middle: Tensor, centre: Tensor, move: Tensor) -> Tensor:

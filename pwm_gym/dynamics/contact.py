@@ -2,8 +2,8 @@
 
 An object's points are carried on by their own velocities for one step, or by the hand, and the end effector's links by
 what is known of their motion. Where the points then lie, above or below the table's surface and outside or inside the
-links' boxes, says who is about to hit whom. Small networks read it point by point; the largest and the mean of their
-outputs tell the entities' tokens.
+links' boxes (of those of their points that are read), says who is about to hit whom. Small networks read it point by
+point; the largest and the mean of their outputs tell the entities' tokens.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class ContactFeatures(nn.Module):
         ends = torch.tensor([False, True])
         self.corners: Tensor
         self.register_buffer("corners", torch.cartesian_prod(ends, ends, ends), persistent=False)  # (8, 3)
-        self.object = _Pooled(14 + 5 * len(self._links), width, size)
+        self.object = _Pooled(14 + 5 * len(self._links), width, size) if self.free else None
 
     def forward(self, state: RigidState, links: Tensor, links_next: Tensor) -> Tensor:
         """What the tokens of the entities are told (B, E, C).
@@ -57,7 +57,7 @@ class ContactFeatures(nn.Module):
         shapes = self._canonical(state, self._links)
         boxes = torch.stack([shapes.amin(-2), shapes.amax(-2)], 2)  # (B, 1 + S, 2, 3)
         told = [self.link(self._of_links(boxes, links, links_next))]
-        if self.free:
+        if self.object is not None:
             told.append(self.object(self._of_objects(state, boxes, links, links_next)))
         return torch.cat(told, 1)[:, self._places]
 

@@ -1,4 +1,4 @@
-"""Optimisers of training by name: AdamW, or Muon on the hidden layers' matrices and AdamW on the rest."""
+"""Optimisers of training by name: AdamW, or Muon on large matrices and AdamW on the rest."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ __all__ = ["OPTIMIZERS", "Optimizer", "build_optimizer"]
 
 OPTIMIZERS = ("muon", "adamw")
 
-_HIDDEN = 32  # a matrix with fewer rows or columns is a table, an input or an output, which Muon is not for
+_LARGE = 32  # rows and columns; most matrices with fewer are tables, inputs or outputs, which Muon is not for
 
 
 class Optimizer:
@@ -53,7 +53,7 @@ def build_optimizer(name: str, model: nn.Module, learning_rate: float, weight_de
 
     Args:
         name: "adamw"; or "muon" (Jordan et al., 2024; Liu et al., 2025: its updates are as large as AdamW's), which
-            orthogonalises the updates of hidden layers' matrices and leaves all other parameters to AdamW.
+            orthogonalises the updates of matrices of at least 32 x 32 and leaves all other parameters to AdamW.
         model: to train.
         learning_rate: of all parameters.
         weight_decay: of all parameters.
@@ -64,7 +64,7 @@ def build_optimizer(name: str, model: nn.Module, learning_rate: float, weight_de
     if name not in OPTIMIZERS:
         raise unknown_name("optimizer", name, OPTIMIZERS)
     parameters = list(model.parameters())
-    matrices = [p for p in parameters if name == "muon" and p.ndim == 2 and min(p.shape) >= _HIDDEN]
+    matrices = [p for p in parameters if name == "muon" and p.ndim == 2 and min(p.shape) >= _LARGE]
     chosen = {id(p) for p in matrices}
     others = [p for p in parameters if id(p) not in chosen]
     parts: list[torch.optim.Optimizer] = []

@@ -20,7 +20,7 @@ from torch.nn import functional as F
 from tqdm import tqdm
 
 from pwm_gym.dynamics.model import WorldModel
-from pwm_gym.dynamics.optimizers import build_optimizer
+from pwm_gym.dynamics.optimizers import OPTIMIZERS, build_optimizer
 from pwm_gym.errors import CheckpointError, unknown_name
 from pwm_gym.scene import Layout, RigidState, State
 
@@ -76,7 +76,7 @@ class TrainConfig:
     phases: tuple[tuple[int, int, int], ...] = ((1, 6000, 256), (5, 1200, 256), (15, 450, 192))
     """(horizon H, optimiser steps, batch size), one after the other."""
     optimizer: str = "muon"
-    """"muon" (on hidden layers' matrices, AdamW on the rest) or "adamw"."""
+    """"muon" (on matrices of at least 32 x 32, AdamW on the rest) or "adamw"."""
     learning_rate: float = 3e-3
     """The optimiser's, at its highest."""
     weight_decay: float = 0.01
@@ -118,6 +118,12 @@ class TrainConfig:
     """Optimiser steps between saves of the state that a killed run resumes from."""
     device: str = "cpu"
     """PyTorch device."""
+
+    def __post_init__(self) -> None:
+        """Raise :class:`UnknownNameError` for an optimiser or a loss that is none."""
+        for kind, name, known in (("optimizer", self.optimizer, OPTIMIZERS), ("loss", self.loss, _LOSSES)):
+            if name not in known:
+                raise unknown_name(kind, name, known)
 
     @classmethod
     def paper(cls, steps: int = 100_000, batch: int = 32) -> TrainConfig:
@@ -272,8 +278,6 @@ class _Run:
         self.leads = leads()
         if self.world > 1 and not dist.is_initialized():
             dist.init_process_group("nccl" if config.device.startswith("cuda") else "gloo")
-        if config.loss not in _LOSSES:
-            raise unknown_name("loss", config.loss, _LOSSES)
         self.loss: nn.Module = _RolloutLoss(model, config)
         if self.world > 1:
             self.loss = nn.parallel.DistributedDataParallel(self.loss)

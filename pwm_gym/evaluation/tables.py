@@ -164,7 +164,8 @@ def run_table(name: str, data: Path, out: Path, task: str = "PickCube", workers:
     if name not in TABLES:
         raise unknown_name("table", name, TABLES)
     table = TABLES[name]
-    pieces = [_Piece(row, seed, data, out, task) for row in table.rows for seed in row.seeds]
+    commit = describe_commit()  # of the code that is loaded, which may change on disk meanwhile
+    pieces = [_Piece(row, seed, data, out, task, commit) for row in table.rows for seed in row.seeds]
     missing = [p for p in pieces if not p.result.exists()]
     if any(p.row.view == "partial" for p in missing):  # before several processes want it
         for split in ("train", "validation", "test"):
@@ -190,6 +191,7 @@ class _Piece:
     data: Path
     out: Path
     task: str
+    commit: str | None = None
 
     @property
     def folder(self) -> Path:
@@ -239,7 +241,7 @@ def _run(piece: _Piece) -> None:
     seen = visible_split(piece.data, "test", task, test) if row.view == "partial" else None
     table = evaluate_rollouts(model, task, test, every=10, progress=False, seen=seen)
     result = {
-        "commit": describe_commit(),
+        "commit": piece.commit,
         "seed": piece.seed,
         "minutes": minutes,
         "sample_steps": sum(h * steps * batch for h, steps, batch in training.phases),

@@ -1,7 +1,7 @@
 import torch
 
 from pwm_gym.data import Windows
-from pwm_gym.data.augment import _AXES, reframe
+from pwm_gym.data.augment import _AXES, Reframed, reframe
 from pwm_gym.scene import RigidState
 
 
@@ -46,10 +46,11 @@ def test_an_objects_axes_are_the_same_all_along_a_window(train_split):
     ]
     for turn in turns[1:]:
         torch.testing.assert_close(turn, turns[0], atol=1e-5, rtol=0)
+    assert len({tuple(m.round().flatten().tolist()) for m in turns[0]}) > 12  # and each window draws its own
 
 
 def test_a_window_is_drawn_with_its_axes_by_the_generator_alone(train_split):
-    windows = Windows(train_split)
+    windows = Reframed(Windows(train_split))
     a, b, c = (windows.sample(torch.Generator().manual_seed(s), 16, 3) for s in (1, 1, 2))
     assert torch.equal(a.clouds, b.clouds) and torch.equal(a.frames, b.frames)
     assert not torch.equal(a.clouds, c.clouds)

@@ -94,3 +94,18 @@ def test_practice_shows_idle_hands_and_shut_fingers():
     assert (idle & (rows[:, -1] == 0)).any()
     assert 0.2 < (rows[:, -1] < 0).mean() < 0.8
     assert not Practice(TASK, np.random.default_rng(0)).done(True)
+
+
+def test_a_toss_is_the_expert_and_then_random_actions():
+    still, lengths = Still(), []
+    for seed in range(40):
+        practice = Practice(TASK, np.random.default_rng(seed))
+        act = practice._toss()
+        lengths.append(practice._left)
+        actions = np.array([act(still) for _ in range(practice._left)])
+        expert = int((np.abs(actions - actions[0]) < 1e-12).all(1).sum())  # in a still world it repeats itself
+        assert 3 <= expert <= 35
+        np.testing.assert_array_equal(actions[:expert], np.tile(actions[0], (expert, 1)))
+        tail = actions[expert:]
+        assert 10 <= len(tail) <= 25 and (np.abs(tail) <= 1).all()
+    assert 13 <= min(lengths) < max(lengths) <= 60
