@@ -181,7 +181,9 @@ def _table(name: str) -> str:
         rows.append(cells)
     head = ["", "Chamfer L1, all (m)", "expert", "randomised", "reward correlation", "paper, other data"]
     head += ["episodes", "minutes", "sample-steps", "parameters", *(["planned"] if planned else [])]
-    return f"## {result['caption']}\n\n{_source(name, result)}\n{_grid(head, rows)}"
+    commits = sorted({commit for row in result["rows"] for commit in row["commits"]})  # of its pieces
+    source = _source(name, {**result, "commit": ", ".join(commits)})
+    return f"## {result['caption']}\n\n{source}\n{_grid(head, rows)}"
 
 
 def _spread(value: dict[str, float], digits: int) -> str:
