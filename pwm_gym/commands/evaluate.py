@@ -39,7 +39,7 @@ class Evaluate:
     pictures: Path | None = None
     """Folder for pictures (PNG): expected against real errors, and the errors of the long rollouts over time."""
     table: str | None = None
-    """rollout, baselines, register, horizon, data or arm."""
+    """rollout, baselines, register, horizon, data, head or arm."""
     out: Path = Path("runs/tables")
     """Folder of a table's trainings and results."""
     workers: int = 1
