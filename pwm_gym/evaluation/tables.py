@@ -80,7 +80,7 @@ def _budget(sample_steps: int, batch: int, *shares: tuple[int, float], **setting
 
 _GROWING = ((1, 0.45), (5, 0.3), (15, 0.25))
 _QUICK = _budget(_ABLATION, 256, *_GROWING)
-_LONG = _budget(_HEADLINE, 32, (1, 0.4), (3, 0.3), (5, 0.3), optimizer="adamw", learning_rate=1e-3, loss_points=64)
+_LONG = _budget(_HEADLINE, 32, (1, 0.4), (3, 0.3), (5, 0.3), learning_rate=2e-3, loss_points=64)
 _HYBRID = replace(_LONG, loss="hybrid")
 _SEEDS = (0, 1, 2)
 _SEES = {"rigid": False}
