@@ -1,4 +1,4 @@
-"""Optimisers of training by name: AdamW, or Muon on large matrices and AdamW on the rest."""
+"""Optimisers of training: AdamW, or Muon on large matrices and AdamW on the rest."""
 
 from __future__ import annotations
 
@@ -7,11 +7,7 @@ from typing import Any
 import torch
 from torch import nn
 
-from pwm_gym.errors import unknown_name
-
-__all__ = ["OPTIMIZERS", "Optimizer", "build_optimizer"]
-
-OPTIMIZERS = ("muon", "adamw")
+__all__ = ["Optimizer", "build_optimizer"]
 
 _LARGE = 32  # rows and columns; most matrices with fewer are tables, inputs or outputs, which Muon is not for
 
@@ -48,29 +44,23 @@ class Optimizer:
             part.load_state_dict(own)
 
 
-def build_optimizer(name: str, model: nn.Module, learning_rate: float, weight_decay: float) -> Optimizer:
-    """The optimiser called ``name`` of a model's parameters.
+def build_optimizer(model: nn.Module, learning_rate: float, weight_decay: float, muon: bool) -> Optimizer:
+    """The optimiser of a model's parameters.
 
     Args:
-        name: "adamw"; or "muon" (Jordan et al., 2024; Liu et al., 2025: its updates are as large as AdamW's), which
-            orthogonalises the updates of matrices of at least 32 x 32 and leaves all other parameters to AdamW.
         model: to train.
         learning_rate: of all parameters.
         weight_decay: of all parameters.
-
-    Raises:
-        UnknownNameError: no optimiser has this name.
+        muon: whether Muon (Jordan et al., 2024; its updates as large as AdamW's: Liu et al., 2025) orthogonalises the
+            updates of matrices of at least 32 x 32; AdamW has all other parameters.
     """
-    if name not in OPTIMIZERS:
-        raise unknown_name("optimizer", name, OPTIMIZERS)
     parameters = list(model.parameters())
-    matrices = [p for p in parameters if name == "muon" and p.ndim == 2 and min(p.shape) >= _LARGE]
+    matrices = [p for p in parameters if muon and p.ndim == 2 and min(p.shape) >= _LARGE]
     chosen = {id(p) for p in matrices}
     others = [p for p in parameters if id(p) not in chosen]
     parts: list[torch.optim.Optimizer] = []
     if others:
         parts.append(torch.optim.AdamW(others, lr=learning_rate, weight_decay=weight_decay))
     if matrices:
-        muon = torch.optim.Muon(matrices, learning_rate, weight_decay, adjust_lr_fn="match_rms_adamw")
-        parts.append(muon)
+        parts.append(torch.optim.Muon(matrices, learning_rate, weight_decay, adjust_lr_fn="match_rms_adamw"))
     return Optimizer(*parts)

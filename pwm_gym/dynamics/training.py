@@ -20,14 +20,16 @@ from torch.nn import functional as F
 from tqdm import tqdm
 
 from pwm_gym.dynamics.model import WorldModel
-from pwm_gym.dynamics.optimizers import OPTIMIZERS, build_optimizer
+from pwm_gym.dynamics.optimizers import build_optimizer
 from pwm_gym.errors import CheckpointError, unknown_name
 from pwm_gym.scene import Layout, RigidState, State
 
 __all__ = ["Batch", "Batches", "TrainConfig", "has_state", "leads", "rollout_loss", "train"]
 
 _STATE = "training-state.pt"
+_OPTIMIZERS = ("muon", "adamw")
 _LOSSES = ("huber", "hybrid")
+_SCHEDULES = ("cosine", "step")
 _LEVER = 0.5  # metres: how far a joint moves the end effector, per radian
 
 
@@ -120,8 +122,9 @@ class TrainConfig:
     """PyTorch device."""
 
     def __post_init__(self) -> None:
-        """Raise :class:`UnknownNameError` for an optimiser or a loss that is none."""
-        for kind, name, known in (("optimizer", self.optimizer, OPTIMIZERS), ("loss", self.loss, _LOSSES)):
+        """Raise :class:`UnknownNameError` for an optimiser, a schedule or a loss that is none."""
+        for kind, known in (("optimizer", _OPTIMIZERS), ("schedule", _SCHEDULES), ("loss", _LOSSES)):
+            name = getattr(self, kind)
             if name not in known:
                 raise unknown_name(kind, name, known)
 
@@ -281,7 +284,9 @@ class _Run:
         self.loss: nn.Module = _RolloutLoss(model, config)
         if self.world > 1:
             self.loss = nn.parallel.DistributedDataParallel(self.loss)
-        self.optimizer = build_optimizer(config.optimizer, model, config.learning_rate, config.weight_decay)
+        self.optimizer = build_optimizer(
+            model, config.learning_rate, config.weight_decay, muon=config.optimizer == "muon"
+        )
         self.average = {k: v.detach().clone() for k, v in model.state_dict().items()}
         folder.mkdir(parents=True, exist_ok=True)
         self._resume()

@@ -39,15 +39,17 @@ def test_the_fitted_joints_go_where_the_simulators_go(response, transitions):
     assert error[1] < 0.15 * truth[:, 1].norm(dim=-1).mean()
 
 
-def test_velocities_tell_what_past_positions_do_not(transitions):
-    """The whole response, fitted with and without velocities."""
+@pytest.mark.parametrize(("steps", "kinds"), [(0, ("expert", "randomised")), (200, None)])
+def test_velocities_tell_what_past_positions_do_not(train_split, steps, kinds):
+    """Fitted with and without velocities: least squares alone on demonstrations, the whole response on all."""
+    transitions = Windows(train_split.of_kinds(kinds) if kinds else train_split).transitions()
     following = transitions.following_joints[:, 0]
     joints = transitions.joints.clone()
     errors = []
     for known in (joints, torch.stack([joints[:, 0], torch.zeros_like(joints[:, 1])], 1)):
         torch.manual_seed(0)
         arm = ArmResponse(ARM, width=32)
-        arm.fit(known, transitions.actions[:, 0], following, steps=200)
+        arm.fit(known, transitions.actions[:, 0], following, steps=steps)
         arm.requires_grad_(False)
         root = arm.kinematics(known[:, 0, :7])
         step = arm(known[..., :7], transitions.actions[:, 0], root).step[:, 0]

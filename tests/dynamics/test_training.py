@@ -11,7 +11,7 @@ import torch
 from pwm_gym.data import FitConfig, Windows, fit
 from pwm_gym.dynamics import CompactConfig, CompactModel, PaperConfig, PaperModel, build_model, load_checkpoint
 from pwm_gym.dynamics.training import TrainConfig, rollout_loss, train
-from pwm_gym.errors import CheckpointError, DatasetError
+from pwm_gym.errors import CheckpointError, DatasetError, UnknownNameError
 from pwm_gym.robots import Control
 from pwm_gym.tasks import get_task
 
@@ -204,6 +204,15 @@ def test_the_papers_table():
         "object_weight": 1.0,
     }
     assert {k: config[k] for k in expected} == expected
+
+
+@pytest.mark.parametrize(
+    ("kind", "wrong", "right"),
+    [("optimizer", "moun", "muon"), ("schedule", "cosin", "cosine"), ("loss", "hubr", "huber")],
+)
+def test_unknown_names_list_the_known_ones(kind, wrong, right):
+    with pytest.raises(UnknownNameError, match=f"unknown {kind} '{wrong}'.*Did you mean '{right}'"):
+        TrainConfig(**{kind: wrong})
 
 
 def test_phases_follow_one_another():
