@@ -1,7 +1,26 @@
 """Planners and their execution. They receive a model or an environment; they know no simulator."""
 
+from pwm_gym.planning.cem import CEM, CEMConfig
 from pwm_gym.planning.execute import Agent, Run, closed_loop
-from pwm_gym.planning.mppi import MPPI, MPPIConfig, Objective
+from pwm_gym.planning.gradient import GradientConfig, GradientPlanner
+from pwm_gym.planning.mppi import MPPI, MPPIConfig
 from pwm_gym.planning.objective import RolloutObjective
+from pwm_gym.planning.registry import build_planner
+from pwm_gym.planning.sampling import Objective, Planner, SamplingConfig
 
-__all__ = ["MPPI", "Agent", "MPPIConfig", "Objective", "RolloutObjective", "Run", "closed_loop"]
+__all__ = [
+    "CEM",
+    "MPPI",
+    "Agent",
+    "CEMConfig",
+    "GradientConfig",
+    "GradientPlanner",
+    "MPPIConfig",
+    "Objective",
+    "Planner",
+    "RolloutObjective",
+    "Run",
+    "SamplingConfig",
+    "build_planner",
+    "closed_loop",
+]

@@ -13,8 +13,10 @@ import torch
 
 from pwm_gym.costs import get_cost, get_grasp
 from pwm_gym.dynamics.model import WorldModel
-from pwm_gym.planning.mppi import MPPI, MPPIConfig
+from pwm_gym.planning.mppi import MPPIConfig
 from pwm_gym.planning.objective import RolloutObjective
+from pwm_gym.planning.registry import build_planner
+from pwm_gym.planning.sampling import Planner, SamplingConfig
 from pwm_gym.scene import Scene, batch_state
 from pwm_gym.tasks import get_task
 
@@ -27,7 +29,7 @@ class Agent:
     Args:
         model: world model to plan in.
         task: registered task.
-        config: MPPI's settings.
+        config: settings of the planner; None takes MPPI's.
         cost: a registered cost or a callable; None takes the task's planning cost.
         seed: of the planner's noise.
         device: of the model.
@@ -37,13 +39,13 @@ class Agent:
         self,
         model: WorldModel,
         task: str = "PickCube",
-        config: MPPIConfig | None = None,
+        config: SamplingConfig | None = None,
         cost: str | Callable[..., torch.Tensor] | None = None,
         seed: int = 0,
         device: str = "cpu",
     ) -> None:
         self.task, self.device = get_task(task), device
-        self.planner = MPPI(config or MPPIConfig(), self.task.action_size, device)
+        self.planner: Planner = build_planner(config or MPPIConfig(), self.task.action_size, device)
         chosen = get_cost(self.task.plan_cost if cost is None else cost)
         self.objective = RolloutObjective(model, chosen, get_grasp(self.task.grasp))
         self._generator = torch.Generator(device).manual_seed(seed)

@@ -48,7 +48,6 @@ class RolloutObjective:
         self._state, self._goal = state, goal
         return self
 
-    @torch.no_grad()
     def __call__(self, actions: Tensor) -> Tensor:
         """Costs (B, S) of action sequences (B, S, H, A)."""
         assert self._state is not None, "call begin() first"
