@@ -40,11 +40,10 @@ class Bench:
 
     def run(self) -> None:
         """Print the table and write the results."""
-        import torch
-
         from pwm_gym.evaluation import write_results
+        from pwm_gym.process import prepare_process
 
-        torch.set_num_threads(self.threads)
+        prepare_process(self.threads)
         results: dict[str, Any] = {"start": _start(self.task)}
         print(
             f"gym.make + reset in a fresh process: {results['start']['seconds']:.2f} s, "

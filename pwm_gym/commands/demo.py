@@ -33,14 +33,14 @@ class Demo:
     def run(self) -> None:
         """Plan, execute, report and draw."""
         import gymnasium as gym
-        import torch
 
         import pwm_gym  # noqa: F401  (registers)
         from pwm_gym.dynamics import load_checkpoint, resolve
         from pwm_gym.planning import Agent
+        from pwm_gym.process import prepare_process
         from pwm_gym.seeds import seed_range
 
-        torch.set_num_threads(self.threads)
+        prepare_process(self.threads)
         checkpoint = load_checkpoint(resolve(self.checkpoint, self.task), self.task)
         begun = time.perf_counter()
         env = gym.make(f"pwm/{self.task}Sim-v0")

@@ -54,14 +54,13 @@ class Evaluate:
         if self.table is not None:
             self._table(self.table)
             return
-        import torch
-
         from pwm_gym.data import load_split
         from pwm_gym.dynamics import load_checkpoint, resolve
         from pwm_gym.evaluation import evaluate_rollouts, long_rollouts, write_results
+        from pwm_gym.process import prepare_process
         from pwm_gym.tasks import get_task
 
-        torch.set_num_threads(self.threads)
+        prepare_process(self.threads)
         if self.pictures is not None:
             self.pictures.mkdir(parents=True, exist_ok=True)
         task = get_task(self.task)

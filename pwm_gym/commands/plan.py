@@ -37,18 +37,18 @@ class Plan:
     def run(self) -> None:
         """Run the episodes and print the success table."""
         import gymnasium as gym
-        import torch
 
         import pwm_gym  # noqa: F401  (registers)
         from pwm_gym.dynamics import load_checkpoint, resolve
         from pwm_gym.errors import unknown_name
         from pwm_gym.evaluation import planning_table, run_episodes, write_results
         from pwm_gym.planning import Agent
+        from pwm_gym.process import prepare_process
         from pwm_gym.seeds import RANGES, seed_range
 
         if self.seeds not in RANGES:
             raise unknown_name("range of seeds", self.seeds, RANGES)
-        torch.set_num_threads(self.threads)
+        prepare_process(self.threads)
         model = load_checkpoint(resolve(self.checkpoint, self.task), self.task).model
         env = gym.make(f"pwm/{self.task}Sim-v0", max_episode_steps=self.max_steps)
         seeds = seed_range(self.seeds, self.episodes, self.offset)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import wraps
+from typing import Concatenate, ParamSpec
 
 import torch
 from torch import Tensor
@@ -20,6 +22,7 @@ __all__ = [
 ]
 
 Points = Mapping[str, Tensor]
+P = ParamSpec("P")
 
 _TOOL_RATIO = 0.355  # (tool - fingers) / (fingers - hand) along the Panda hand's axis, of its collision meshes
 _CLOSE = 0.025  # the paper's grasp distance
@@ -31,17 +34,36 @@ _HELD = 0.036  # how far from an object's centre its corner can be held
 _HALF_SHUT = 0.2  # a gripper commanded below this shuts on an object of 4 cm
 
 
+def _once(term: Callable[Concatenate[Points, P], Tensor]) -> Callable[Concatenate[Points, P], Tensor]:
+    """Decorator: points that keep a memo (an environment's and a planner's do) form a quantity once."""
+
+    @wraps(term)
+    def formed(points: Points, *args: P.args, **kwargs: P.kwargs) -> Tensor:
+        memo = getattr(points, "memo", None)
+        if memo is None:
+            return term(points, *args, **kwargs)
+        key = (term, args, tuple(kwargs.items()))
+        if key not in memo:
+            memo[key] = term(points, *args, **kwargs)
+        return memo[key]
+
+    return formed
+
+
+@_once
 def centre(points: Points, name: str) -> Tensor:
     """Mean (B, 3) of an entity's points."""
     return points[name].mean(-2)
 
 
+@_once
 def tool_centre(points: Points) -> Tensor:
     """Point (B, 3) between the finger tips: on the line from the hand's centre through the fingers' centre."""
     fingers = 0.5 * (centre(points, "left_gripper") + centre(points, "right_gripper"))
     return fingers + _TOOL_RATIO * (fingers - centre(points, "hand"))
 
 
+@_once
 def finger_gaps(points: Points, name: str) -> Tensor:
     """Gaps (B, 2) between each finger's inner side and the object's, along the fingers' axis.
 
@@ -52,6 +74,7 @@ def finger_gaps(points: Points, name: str) -> Tensor:
     return _gaps(points, axis, along.amin(-1), along.amax(-1))
 
 
+@_once
 def pad_gaps(points: Points, name: str) -> Tensor:
     """Gaps (B, 2) as :func:`finger_gaps`, to that part of the object which is between the fingers' pads.
 
@@ -80,6 +103,7 @@ def width_between(points: Points, name: str) -> Tensor:
     return along.amax(-1) - along.amin(-1)
 
 
+@_once
 def _fingers_axis(points: Points) -> Tensor:
     """Unit vector (B, 3, 1) from the right finger's centre to the left one's."""
     axis = centre(points, "left_gripper") - centre(points, "right_gripper")

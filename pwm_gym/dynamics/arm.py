@@ -19,6 +19,7 @@ __all__ = ["STEP", "ArmOutlook", "ArmResponse"]
 
 _UNSOLVED = 1e-3  # metres by which a solution may miss; ManiSkill's solver gives up there, and the arm stays
 _ITERATIONS = 3
+_SHORT = 0.01  # radians; a last step that is shorter leaves less than 0.1 mm
 _SURE = 1e-4  # metres; what misses by more is solved for again, in small steps as ManiSkill's solver does
 _CAREFUL = (20, 0.15)  # such steps, and their rate
 STEP = 0.01
@@ -91,13 +92,21 @@ class ArmResponse(nn.Module):
     def command(self, joints: Tensor, action: Tensor, root: Tensor) -> Tensor:
         """Way (B, J) from angles (B, J) to where the controller drives them: zero where it finds no solution."""
         goal = self.kinematics.target(root, action)
-        solution, miss = self.kinematics.solve(goal, joints, _ITERATIONS)
+        solution, before, last = self.kinematics.approach(goal, joints, _ITERATIONS)
+        found = (before < _UNSOLVED) & (last < _SHORT)
+        doubtful = (~found).nonzero().squeeze(1)
+        if len(doubtful):
+            solution[doubtful], found[doubtful] = self._verified(goal[doubtful], joints[doubtful], solution[doubtful])
+        return torch.where(found.unsqueeze(-1), solution - joints, 0.0)
+
+    def _verified(self, goal: Tensor, joints: Tensor, solution: Tensor) -> tuple[Tensor, Tensor]:
+        """Solutions (B, J), sought anew in small steps where they miss the goal, and whether each reaches it."""
+        _, miss = self.kinematics.solve(goal, solution, 0)
         hard = ~(miss < _SURE)  # near the edge of the reach, where whole steps overshoot
         if hard.any():
-            near, _ = self.kinematics.solve(goal[hard], joints[hard], *_CAREFUL)
-            solution[hard], miss[hard] = self.kinematics.solve(goal[hard], near, _ITERATIONS)
-        found = torch.isfinite(solution).all(-1) & (miss < _UNSOLVED)
-        return torch.where(found.unsqueeze(-1), solution - joints, 0.0)
+            close, _, _ = self.kinematics.approach(goal[hard], joints[hard], *_CAREFUL)
+            solution[hard], miss[hard] = self.kinematics.solve(goal[hard], close, _ITERATIONS)
+        return solution, torch.isfinite(solution).all(-1) & (miss < _UNSOLVED)
 
     def respond(self, joints: Tensor, command: Tensor, root: Tensor) -> ArmOutlook:
         """The next step of joints (B, 2, J) under commands (B, J), with the root link at (B, 4, 4)."""

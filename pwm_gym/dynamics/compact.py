@@ -26,6 +26,7 @@ from pwm_gym.dynamics.arm import STEP, ArmOutlook, ArmResponse
 from pwm_gym.dynamics.contact import FALL, ContactFeatures
 from pwm_gym.dynamics.response import LinearResponse, twist, twists
 from pwm_gym.dynamics.uncertainty import ErrorHead
+from pwm_gym.errors import PwmGymError
 from pwm_gym.robots import Control
 from pwm_gym.scene import Layout, RigidState, State
 from pwm_gym.scene.se3 import make_pose, rotation_from_vector
@@ -37,6 +38,7 @@ _LENGTH, _NEAR = 0.1, 0.01
 _TRANSLATION, _ROTATION, _OPENING = 0.01, 0.05, 0.005
 _LEVER = 0.01  # metres: makes a turn a speed
 _RESTS, _AFOOT = 0.0005, 0.001  # metres a step: what is slower does not fly at all, or hardly
+_CAP = 40.0  # of attention scores, far beyond what occurs: their exponentials stay finite
 _FLIGHT = 8  # place of its gate in a decoded token
 
 
@@ -99,6 +101,8 @@ class CompactModel(nn.Module):
         super().__init__()
         self.layout, self.action_size, self.config = layout, action_size, config or CompactConfig()
         self.control = control or Control()
+        if self.config.blocks < 1:
+            raise PwmGymError(f"blocks={self.config.blocks}; expected at least 1")
         self.response = LinearResponse(layout, action_size)
         effector = self.response.effector
         c, sliders = self.config, len(effector.sliding)
@@ -174,9 +178,9 @@ class CompactModel(nn.Module):
         command = self.action(self._turned(action, self._roots(state.frames)[:, 0, :3, :3])).unsqueeze(1)
         registers = self.register.expand(len(action), -1, -1)
         tokens = torch.cat([entities, command, registers], 1)  # (B, E + 1 + R, C)
-        for block in self.blocks:
+        for block in self.blocks[:-1]:
             tokens = block(tokens)
-        return self.norm(tokens[:, : len(self.layout)])
+        return self.norm(self.blocks[-1](tokens, read=len(self.layout)))
 
     def _root(
         self, state: RigidState, outlook: _Outlook, tokens: Tensor, action: Tensor
@@ -340,9 +344,20 @@ class _Block(nn.Module):
         self.qkv, self.out = nn.Linear(width, 3 * width), nn.Linear(width, width)
         self.mlp = nn.Sequential(nn.Linear(width, ratio * width), nn.GELU(), nn.Linear(ratio * width, width))
 
-    def forward(self, tokens: Tensor) -> Tensor:
-        """Tokens (B, T, C) -> (B, T, C)."""
-        q, k, v = self.qkv(self.norm1(tokens)).unflatten(-1, (3, self.heads, -1)).permute(2, 0, 3, 1, 4)
-        mixed = F.scaled_dot_product_attention(q, k, v).transpose(1, 2).flatten(2)
-        tokens = tokens + self.out(mixed)
+    def forward(self, tokens: Tensor, read: int | None = None) -> Tensor:
+        """Tokens (B, T, C) -> (B, T, C), or the first ``read`` of them alone."""
+        mixed = self._mixed(self.qkv(self.norm1(tokens)), read)
+        tokens = tokens[:, :read] + self.out(mixed)
         return tokens + self.mlp(self.norm2(tokens))
+
+    def _mixed(self, qkv: Tensor, read: int | None) -> Tensor:
+        """What the first ``read`` tokens read (B, T, C) of queries, keys and values (B, T, 3 C).
+
+        On a CPU PyTorch's own attention takes three times as long for so few tokens: its softmax is slow on short rows.
+        """
+        q, k, v = qkv.unflatten(-1, (3, self.heads, -1)).permute(2, 0, 3, 1, 4).contiguous().flatten(1, 2).unbind()
+        scores = (q.shape[-1] ** -0.5 * q[:, :read]) @ k.transpose(-1, -2)  # (B heads, T, T)
+        weights = scores.clamp(-_CAP, _CAP).exp()
+        sums = weights @ F.pad(v, (0, 1), value=1.0)  # the last column is the softmax's denominator
+        mixed = sums[..., :-1] / sums[..., -1:]
+        return mixed.unflatten(0, (-1, self.heads)).transpose(1, 2).flatten(2)

@@ -13,7 +13,7 @@ from torch import Tensor, nn
 
 from pwm_gym.dynamics.response import EndEffector
 from pwm_gym.scene import Layout, RigidState
-from pwm_gym.scene.se3 import transform
+from pwm_gym.scene.se3 import inverse, transform
 
 __all__ = ["FALL", "ContactFeatures"]
 
@@ -78,29 +78,34 @@ class ContactFeatures(nn.Module):
 
     def _of_objects(self, state: RigidState, boxes: Tensor, links: Tensor, links_next: Tensor) -> Tensor:
         """Features (B, F, n, K) of the objects' points: motion, table, and the links' boxes."""
-        canonical = self._canonical(state, self.free)
-        points, before = (transform(state.frames[:, k, self.free], canonical) for k in (0, 1))
-        after = 2 * points - before
-        root, root_next = links[:, :1], links_next[:, :1]
-        local, local_next = _seen(points, root), _seen(after, root_next)
-        height, falling = points[..., 2:], after[..., 2:] + FALL
-        carried = transform(root_next, local)[..., 2:]
-        parts = [
-            local / _LENGTH,
-            (local_next - local) / _STEP,
-            (points - before) @ root[..., :3, :3] / _STEP,
-            height.clamp(-1, 1) / _LENGTH,
-            torch.tanh(height / _NEAR),
-            torch.tanh(falling / _NEAR),
-            torch.tanh(carried / _NEAR),
-            torch.tanh(carried / _TOUCH),
+        now, before = state.frames[:, 0, self.free], state.frames[:, 1, self.free]  # (B, F, 4, 4)
+        after = 2 * now - before
+        seen = inverse(torch.cat([links, links_next], 1)).unsqueeze(1)  # (B, 1, 2 (1 + S), 4, 4)
+        count = len(self._links)
+        local, local_next = seen[:, :, :count] @ now.unsqueeze(2), seen[:, :, count:] @ after.unsqueeze(2)
+        maps = [  # of canonical points, each (B, F, k, 4): all that is linear in a point is one product
+            local[:, :, :, :3].flatten(2, 3),
+            local_next[:, :, :, :3].flatten(2, 3),
+            seen[:, :, 0, :3, :3] @ (now - before)[:, :, :3],
+            now[:, :, 2:3],
+            after[:, :, 2:3],
+            links_next[:, None, 0, 2:3] @ local[:, :, 0],
         ]
-        for i in range(len(self._links)):
-            low, high = boxes[:, None, i, :, None].unbind(2)  # (B, 1, 1, 3)
-            gap, _ = _box_gap(_seen(points, links[:, i, None]), low, high)
-            gap_next, way = _box_gap(_seen(after, links_next[:, i, None]), low, high)
-            parts += [torch.tanh(gap / _TOUCH), torch.tanh(gap_next / _TOUCH), torch.tanh(way / _NEAR)]
-        return torch.cat(parts, -1)
+        points = nn.functional.pad(self._canonical(state, self.free), (0, 1), value=1.0)
+        mapped = torch.cat(maps, 2) @ points.transpose(-1, -2)  # (B, F, k, n): operations on it run along the points
+        places, velocity, height, falling, carried = mapped.split([6 * count, 3, 1, 1, 1], 2)
+        places = places.unflatten(2, (2, count, 3))  # now or next, link, coordinate
+        gaps, ways = _box_gap(places, *boxes[:, None, None, ..., None].unbind(-3))
+        touching = torch.cat([gaps.transpose(2, 3) / _TOUCH, ways[:, :, 1] / _NEAR], 3)
+        parts = [
+            places[:, :, 0, 0] / _LENGTH,
+            (places[:, :, 1, 0] - places[:, :, 0, 0]) / _STEP,
+            velocity / _STEP,
+            height.clamp(-1, 1) / _LENGTH,
+            torch.tanh(torch.cat([height / _NEAR, (falling + FALL) / _NEAR, carried / _NEAR, carried / _TOUCH], 2)),
+            torch.tanh(touching).flatten(2, 3),
+        ]
+        return torch.cat(parts, 2).transpose(-1, -2)
 
     def _canonical(self, state: RigidState, entities: list[int]) -> Tensor:
         """Canonical points (B, F, n, 3) of some entities, equally many of each."""
@@ -114,7 +119,9 @@ class _Pooled(nn.Module):
 
     def __init__(self, features: int, width: int, size: int) -> None:
         super().__init__()
-        self.net = nn.Sequential(nn.Linear(features, width), nn.ReLU(), nn.Linear(width, width), nn.ReLU())
+        self.net = nn.Sequential(
+            nn.Linear(features, width), nn.ReLU(inplace=True), nn.Linear(width, width), nn.ReLU(inplace=True)
+        )
         self.out = nn.Linear(2 * width, size)
 
     def forward(self, features: Tensor) -> Tensor:
@@ -129,8 +136,8 @@ def _seen(points: Tensor, pose: Tensor) -> Tensor:
 
 
 def _box_gap(points: Tensor, low: Tensor, high: Tensor) -> tuple[Tensor, Tensor]:
-    """Signed distance (..., 1) of points (..., 3) to a box, and the way to it (..., 3), zero inside."""
+    """Signed distance (..., n) of points (..., 3, n) to a box, and the way to it (..., 3, n), zero inside."""
     beyond = torch.maximum(low - points, points - high)
     way = torch.minimum(torch.maximum(points, low), high) - points
-    outside = way.square().sum(-1, keepdim=True).clamp_min(1e-12).sqrt()
-    return outside + beyond.amax(-1, keepdim=True).clamp_max(0.0), way
+    outside = way.square().sum(-2).clamp_min(1e-12).sqrt()
+    return outside + beyond.amax(-2).clamp_max(0.0), way

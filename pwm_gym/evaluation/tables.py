@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 
 from pwm_gym.data import FitConfig, fit, load_split
 from pwm_gym.data.episodes import write_atomically
@@ -29,6 +28,7 @@ from pwm_gym.evaluation.record import describe_commit
 from pwm_gym.evaluation.report import evaluate_rollouts
 from pwm_gym.evaluation.rollouts import validation_metrics
 from pwm_gym.planning import Agent
+from pwm_gym.process import prepare_process
 from pwm_gym.seeds import seed_range
 from pwm_gym.tasks import Task, get_task
 
@@ -218,7 +218,7 @@ class _Piece:
 
 def _run(piece: _Piece) -> None:
     """Train and evaluate one piece."""
-    torch.set_num_threads(1)
+    prepare_process(threads=1)
     row, task = piece.row, get_task(piece.task)
     begun = time.perf_counter()
     config = FitConfig(

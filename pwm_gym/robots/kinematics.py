@@ -45,12 +45,11 @@ class ArmKinematics(nn.Module):
 
     def frames(self, joints: Tensor) -> Tensor:
         """Poses (..., J, 4, 4) of the joints' frames at angles (..., J); each joint's axis is its frame's z."""
-        turn = torch.zeros(*joints.shape, 4, 4, dtype=joints.dtype, device=joints.device)
-        cosine, sine = joints.cos(), joints.sin()
-        turn[..., 0, 0], turn[..., 0, 1] = cosine, -sine
-        turn[..., 1, 0], turn[..., 1, 1] = sine, cosine
-        turn[..., 2, 2] = turn[..., 3, 3] = 1.0
-        local = self.origins.to(joints) @ turn
+        origins = self.origins.to(joints)
+        x, y = origins[..., :1], origins[..., 1:2]  # columns (J, 4, 1), which the joints turn
+        cosine, sine = joints.cos()[..., None, None], joints.sin()[..., None, None]
+        fixed = origins[..., 2:].expand(*joints.shape, 4, 2)
+        local = torch.cat([cosine * x + sine * y, cosine * y - sine * x, fixed], -1)
         poses = [local[..., 0, :, :]]
         for k in range(1, self.arm.joints):
             poses.append(poses[-1] @ local[..., k, :, :])
@@ -58,7 +57,7 @@ class ArmKinematics(nn.Module):
 
     def forward(self, joints: Tensor) -> Tensor:
         """Pose (..., 4, 4) of the end effector's root link at joint angles (..., J)."""
-        return self.frames(joints)[..., -1, :, :] @ self.mount.to(joints)
+        return self._root(self.frames(joints))
 
     def jacobian(self, frames: Tensor, point: Tensor) -> Tensor:
         """(..., 6, J): velocity of a point (..., 3) of the last link, and angular velocity, per joint velocity."""
@@ -78,21 +77,39 @@ class ArmKinematics(nn.Module):
         Returns:
             Joint angles (..., J), and the distance (...) in metres by which the tool centre misses its goal.
         """
-        joints = start
-        target = self._tool(goal)
-        for k in range(iterations + 1):
+        joints, _, _ = self.approach(goal, start, iterations, rate)
+        return joints, self._error(goal, self._root(self.frames(joints)))[..., :3].norm(dim=-1)
+
+    def approach(
+        self, goal: Tensor, start: Tensor, iterations: int, rate: float = 1.0
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """As :meth:`solve`, but with what is known before the last step, which saves the last forward kinematics.
+
+        Returns:
+            Joint angles (..., J), the distance (...) by which the tool missed its goal before the last step, and that
+            step's length (...) in radians. Whole steps square the error: half the length's square, in metres, is left.
+        """
+        joints, step = start, torch.full_like(start, torch.inf)
+        miss = step[..., 0]
+        for _ in range(iterations):
             frames = self.frames(joints)
-            root = frames[..., -1, :, :] @ self.mount.to(joints)
-            tool = self._tool(root)
-            turn = motion_vector(goal[..., :3, :3] @ root[..., :3, :3].transpose(-1, -2))
-            error = torch.cat([target - tool, turn], -1)
-            if k == iterations:
-                break
-            jacobian = self.jacobian(frames, tool)
+            root = self._root(frames)
+            error = self._error(goal, root)
+            miss = error[..., :3].norm(dim=-1)
+            jacobian = self.jacobian(frames, self._tool(root))
             gram = jacobian @ jacobian.transpose(-1, -2) + self.damping.to(joints)
-            step = jacobian.transpose(-1, -2) @ torch.linalg.solve(gram, error.unsqueeze(-1))
-            joints = joints + rate * step.squeeze(-1)
-        return joints, error[..., :3].norm(dim=-1)
+            step = rate * (jacobian.transpose(-1, -2) @ torch.linalg.solve(gram, error.unsqueeze(-1))).squeeze(-1)
+            joints = joints + step
+        return joints, miss, step.norm(dim=-1)
+
+    def _root(self, frames: Tensor) -> Tensor:
+        """Pose (..., 4, 4) of the root link, of the joints' frames (..., J, 4, 4)."""
+        return frames[..., -1, :, :] @ self.mount.to(frames)
+
+    def _error(self, goal: Tensor, root: Tensor) -> Tensor:
+        """(..., 6): the tool centre's way to its goal, and the turn that is left."""
+        turn = motion_vector(goal[..., :3, :3] @ root[..., :3, :3].transpose(-1, -2))
+        return torch.cat([self._tool(goal) - self._tool(root), turn], -1)
 
     def target(self, root: Tensor, action: Tensor) -> Tensor:
         """Root link's pose (..., 4, 4) that an action (..., A) asks for when it is at ``root`` (..., 4, 4)."""

@@ -240,6 +240,8 @@ class EntityPoints(Mapping[str, Tensor]):
     def __init__(self, state: State, velocity: bool = False) -> None:
         self._state, self._velocity = state, velocity
         self._formed: dict[str, Tensor] = {}
+        self.memo: dict[Any, Any] = {}
+        """What terms of a cost derive from the points, so that those that need the same form it once."""
 
     def __getitem__(self, name: str) -> Tensor:
         if name not in self._formed:

@@ -11,6 +11,7 @@ from pwm_gym.costs import (
     register_grasp,
     register_success,
     register_terms,
+    terms,
 )
 from pwm_gym.errors import PwmGymError, UnknownNameError
 from pwm_gym.scene import Layout, RigidState
@@ -39,6 +40,17 @@ def test_info_holds_what_the_design_promises(view):
     assert info["extra"]["goal_pos"] is info["goal"] and info["action"].shape == (3, 7)
     assert info["velocity"]["cube"].shape == points["cube"].shape == (3, 8, 3)
     assert info["grasped"].tolist() == [True, False, False]
+
+
+def test_what_terms_derive_is_formed_once_and_the_same(view):
+    points, _ = view
+    plain = dict(points)
+    for term in (terms.tool_centre, terms.finger_gaps, terms.pad_gaps, terms.centre):
+        args = () if term is terms.tool_centre else ("cube",)
+        torch.testing.assert_close(term(points, *args), term(plain, *args))
+        assert term(points, *args) is term(points, *args)
+        assert term(plain, *args) is not term(plain, *args)
+    assert not torch.equal(terms.centre(points, "cube"), terms.centre(points, "hand"))
 
 
 def test_a_registered_cost_is_found_by_name(costs, view):

@@ -4,8 +4,9 @@ import pytest
 import torch
 
 from pwm_gym.dynamics import CompactConfig, CompactModel, WorldModel, rollout
-from pwm_gym.dynamics.compact import _FLIGHT, _gate
+from pwm_gym.dynamics.compact import _FLIGHT, _Block, _gate
 from pwm_gym.dynamics.contact import FALL, ContactFeatures
+from pwm_gym.errors import PwmGymError
 from pwm_gym.robots import Control
 from pwm_gym.scene import Layout, PointState, RigidState
 from pwm_gym.scene.se3 import make_pose, rotation_from_vector
@@ -222,6 +223,27 @@ def test_contact_features_tell_a_point_inside_a_link_from_one_outside(model, sta
     now, soon = 14, 15  # signed distances to the root link's box
     inside, outside = (x.amin(-2)[:, 0] for x in seen)
     assert (inside[:, [now, soon]] < -0.5).all() and (outside[:, [now, soon]] > 0.9).all()
+
+
+def test_heads_mix_as_pytorchs_attention_does():
+    torch.manual_seed(0)
+    block, qkv = _Block(32, 4, 2), torch.randn(5, 6, 96)
+    q, k, v = qkv.unflatten(-1, (3, 4, 8)).permute(2, 0, 3, 1, 4)
+    expected = torch.nn.functional.scaled_dot_product_attention(q, k, v).transpose(1, 2).flatten(2)
+    torch.testing.assert_close(block._mixed(qkv, None), expected)
+    huge = block._mixed(1e4 * qkv, None)
+    assert huge.isfinite().all()
+
+
+def test_a_block_asked_for_some_tokens_gives_the_same():
+    torch.manual_seed(0)
+    block, tokens = _Block(32, 4, 2), torch.randn(5, 6, 32)
+    torch.testing.assert_close(block(tokens, read=4), block(tokens)[:, :4])
+
+
+def test_no_blocks_is_a_clear_error(state):
+    with pytest.raises(PwmGymError, match="blocks=0; expected at least 1"):
+        model_of(state.layout, replace(SMALL, blocks=0))
 
 
 def test_gates_reach_zero_and_one_and_keep_their_gradient():

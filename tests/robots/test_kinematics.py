@@ -51,6 +51,18 @@ def test_solves_for_a_pose_near_by(kinematics):
     assert (found - start).norm(dim=1).max() < 0.7  # and stays near where it began
 
 
+def test_whole_steps_square_the_error(kinematics):
+    start = angles(50)
+    goal = kinematics(start + 0.1 * torch.randn(50, 7, generator=torch.Generator().manual_seed(1)))
+    for count in (2, 3, 4):
+        found, before, step = kinematics.approach(goal, start, count)
+        previous, earlier = kinematics.solve(goal, start, count - 1)
+        _, miss = kinematics.solve(goal, found, 0)
+        torch.testing.assert_close(before, earlier)
+        torch.testing.assert_close(step, (found - previous).norm(dim=-1), atol=1e-6, rtol=0)
+        assert (miss < 0.5 * step.square() + 1e-6).all()
+
+
 def test_tells_by_how_much_a_goal_out_of_reach_is_missed(kinematics):
     start = angles(3)
     goal = kinematics(start)
