@@ -14,6 +14,7 @@ from pwm_gym.commands.envs import Envs
 from pwm_gym.commands.evaluate import Evaluate
 from pwm_gym.commands.plan import Plan
 from pwm_gym.commands.train import Train
+from pwm_gym.commands.view import View
 from pwm_gym.errors import PwmGymError
 
 __all__ = ["main"]
@@ -25,6 +26,7 @@ Command = (
     | Annotated[Train, tyro.conf.subcommand("train")]
     | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
     | Annotated[Plan, tyro.conf.subcommand("plan")]
+    | Annotated[View, tyro.conf.subcommand("view")]
     | Annotated[Bench, tyro.conf.subcommand("bench")]
     | Annotated[CheckCost, tyro.conf.subcommand("check-cost")]
 )

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 if TYPE_CHECKING:
-    from pwm_gym.scene import Scene
+    import gymnasium as gym
+
+    from pwm_gym.planning import Agent, Run
 
 __all__ = ["Demo"]
 
@@ -46,22 +48,23 @@ class Demo:
         env = gym.make(f"pwm/{self.task}Sim-v0")
         print(f"{self.task}: {checkpoint.kind} world model; simulator ready in {time.perf_counter() - begun:.0f} s")
         agent = Agent(checkpoint.model, self.task)
-        takes = [_Take(seed) for seed in seed_range("plan_test", self.episodes)]
-        for take in takes:
-            take.execute(env, agent)
+        runs = [_execute(env, agent, seed) for seed in seed_range("plan_test", self.episodes)]
         env.close()
-        best = next((t for t in takes if t.success), takes[0])
-        self._draw(best, checkpoint.model)
-        wins = sum(t.success for t in takes)
-        print(f"\nsuccess {wins}/{len(takes)}; pictures of seed {best.seed} in {self.out}/")
+        best = next((r for r in runs if r.success), runs[0])
+        self._draw(best)
+        wins = sum(r.success for r in runs)
+        print(f"\nsuccess {wins}/{len(runs)}; pictures of seed {best.seed} in {self.out}/")
 
-    def _draw(self, take: _Take, model: Any) -> None:
-        """GIF and PNG of the plan as the model predicts it from the first scene alone, and as it went."""
+    def _draw(self, run: Run) -> None:
+        """GIF and PNG of the run as the model predicts it from the first scene alone, and as it went."""
+        from pwm_gym.commands.view import rolled_out, twin_record
         from pwm_gym.viewer import write_gif, write_png
 
-        record = take.record(model, self.task)
+        record = twin_record(
+            rolled_out(run, self.checkpoint), "the model sees the first frame only, then the same actions"
+        )
         print(
-            f"\nfrom the first scene alone, the model predicts all {len(take.actions)} executed actions:"
+            f"\nfrom the first scene alone, the model predicts all {run.steps} executed actions:"
             f"\n  Chamfer L1 {record.error.mean() * 1e3:.1f} mm on average, {record.error[-1] * 1e3:.1f} mm at the end"
         )
         self.out.mkdir(parents=True, exist_ok=True)
@@ -69,54 +72,11 @@ class Demo:
         write_gif(record, self.out / "twin.gif")
 
 
-@dataclass
-class _Take:
-    """One executed episode."""
+def _execute(env: gym.Env[Any, Any], agent: Agent, seed: int) -> Run:
+    """One closed-loop episode, and one printed line."""
+    from pwm_gym.planning import execute
 
-    seed: int
-    scenes: list[Scene] = field(default_factory=list)
-    actions: list[np.ndarray] = field(default_factory=list)
-    rewards: list[float] = field(default_factory=list)
-    success: bool = False
-
-    def execute(self, env: Any, agent: Any) -> None:
-        """Closed loop in the simulator, one printed line."""
-        from pwm_gym.planning import closed_loop
-
-        run = closed_loop(env, agent, self.seed, on_scene=self.scenes.append)
-        self.actions, self.rewards, self.success = run.actions, run.rewards, run.success
-        result = "success" if run.success else "failure"
-        latency = float(np.median(run.plan_seconds))
-        print(f"  seed {self.seed}: {result} after {run.steps:3d} steps, {latency:.2f} s an action")
-
-    def record(self, model: Any, task_name: str) -> Any:
-        """Both worlds from the first scene on, under the executed actions."""
-        import torch
-
-        from pwm_gym.costs import cost_info, get_cost, get_grasp
-        from pwm_gym.dynamics import rollout
-        from pwm_gym.evaluation import chamfer
-        from pwm_gym.scene import batch_state
-        from pwm_gym.tasks import get_task
-        from pwm_gym.viewer import TwinRecord
-
-        task = get_task(task_name)
-        actions = torch.as_tensor(np.stack(self.actions))
-        with torch.no_grad():
-            states = rollout(model, batch_state([self.scenes[0]]), actions[None])[0]
-        first = batch_state([self.scenes[0]]).points()
-        predicted = torch.cat([first, states.points()]).numpy()
-        true = np.concatenate([batch_state([s]).points().numpy() for s in self.scenes])
-        goal = torch.as_tensor(self.scenes[0].goal).expand(len(actions), -1)
-        rewards = -get_cost(task.cost)(*cost_info(states, actions, goal, get_grasp(task.grasp))).numpy()
-        return TwinRecord(
-            predicted=predicted,
-            true=true,
-            layout=task.layout,
-            error=np.array([chamfer(p, q) for p, q in zip(predicted, true, strict=True)]),
-            goal=self.scenes[0].goal,
-            predicted_reward=np.concatenate([rewards[:1], rewards]),
-            true_reward=np.array([self.rewards[0], *self.rewards]),
-            title=f"{task.name}: planned in the world model, executed in the simulator",
-            subtitle=f"seed {self.seed}; the model sees the first frame only, then the same actions",
-        )
+    run = execute(env, agent, seed)
+    result, latency = "success" if run.success else "failure", np.median(run.plan_seconds)
+    print(f"  seed {seed}: {result} after {run.steps:3d} steps, {latency:.2f} s an action")
+    return run

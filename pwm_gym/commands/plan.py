@@ -4,16 +4,28 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-from pwm_gym.planning import MPPIConfig
+import tyro
+
+from pwm_gym.planning import CEMConfig, GradientConfig, MPPIConfig
+
+if TYPE_CHECKING:
+    from pwm_gym.tasks import Task
 
 __all__ = ["Plan"]
+
+_Planner = (
+    Annotated[MPPIConfig, tyro.conf.subcommand("mppi")]
+    | Annotated[CEMConfig, tyro.conf.subcommand("cem")]
+    | Annotated[CEMConfig, tyro.conf.subcommand("icem", default=CEMConfig.icem())]
+    | Annotated[GradientConfig, tyro.conf.subcommand("gradient")]
+)
 
 
 @dataclass(frozen=True)
 class Plan:
-    """Plan in the model, execute in the simulator, closed loop."""
+    """Plan in the model, execute in the simulator: closed loop, in chunks or open loop."""
 
     task: str = "PickCube"
     """Registered task."""
@@ -27,8 +39,18 @@ class Plan:
     """First seed of the range."""
     max_steps: int = 100
     """Actions an episode at most."""
-    planner: MPPIConfig = field(default_factory=MPPIConfig)
-    """MPPI's settings."""
+    planner: _Planner = field(default_factory=MPPIConfig)
+    """The planner and its settings."""
+    chunk: int = 1
+    """Actions between two looks: 1 is closed loop, 0 looks at the first scene alone (open loop)."""
+    caution: float = 0.0
+    """Cost of a metre of expected error at a step."""
+    workspace: tuple[float, float, float, float, float, float] | None = None
+    """Box that the end effector is to stay in: lowest and highest corner, metres in the robot base's frame."""
+    clear_of: tuple[str, ...] = ()
+    """Entities that the end effector is not to touch."""
+    save: Path | None = None
+    """Folder for a record of each run, which ``pwm-gym view`` draws."""
     json: Path | None = None
     """Where to write the results."""
     threads: int = 2
@@ -45,25 +67,46 @@ class Plan:
         from pwm_gym.planning import Agent
         from pwm_gym.process import prepare_process
         from pwm_gym.seeds import RANGES, seed_range
+        from pwm_gym.tasks import get_task
 
         if self.seeds not in RANGES:
             raise unknown_name("range of seeds", self.seeds, RANGES)
         prepare_process(self.threads)
+        task = get_task(self.task)
         model = load_checkpoint(resolve(self.checkpoint, self.task), self.task).model
         env = gym.make(f"pwm/{self.task}Sim-v0", max_episode_steps=self.max_steps)
         seeds = seed_range(self.seeds, self.episodes, self.offset)
-        runs = run_episodes(env, Agent(model, self.task, self.planner), seeds, self.max_steps)
+        agent = Agent(model, self.task, self.planner, penalties=self._penalties(task), caution=self.caution)
+        runs = run_episodes(env, agent, seeds, self.max_steps, self.chunk)
         env.close()
         table = planning_table(runs)
-        _print(self.task, table)
+        _print(self.task, self.chunk, table)
+        if self.save is not None:
+            self.save.mkdir(parents=True, exist_ok=True)
+            for run in runs:
+                run.save(self.save / f"seed-{run.seed}.npz")
         if self.json is not None:
-            write_results(self.json, {"planner": asdict(self.planner), "seeds": self.seeds, **table})
+            facts = {"planner": type(agent.planner).__name__, "settings": asdict(self.planner), "chunk": self.chunk}
+            write_results(self.json, {**facts, "seeds": self.seeds, **table})
+
+    def _penalties(self, task: Task) -> dict[str, Any]:
+        """Terms that the constraints add to the cost."""
+        from pwm_gym.planning import keep_clear, workspace
+
+        effector = tuple(e.name for e in task.layout if e.effector)
+        penalties: dict[str, Any] = {}
+        if self.workspace is not None:
+            penalties["workspace"] = (100.0, workspace(self.workspace[:3], self.workspace[3:], effector))
+        if self.clear_of:
+            penalties["clear"] = (10.0, keep_clear(self.clear_of, effector))
+        return penalties
 
 
-def _print(task: str, table: dict[str, Any]) -> None:
+def _print(task: str, chunk: int, table: dict[str, Any]) -> None:
     low, high = table["interval"]
     latency, steps = table["plan_seconds"], table["mean_steps_of_successes"]
-    print(f"\n{task}, closed loop in the simulator")
+    mode = {0: "open loop", 1: "closed loop"}.get(chunk, f"chunks of {chunk}")
+    print(f"\n{task}, {mode} in the simulator")
     print(f"  success          {table['successes']}/{table['episodes']}  (95 % interval {low:.0%} to {high:.0%})")
     print(f"  steps to success {steps:.1f} on average" if steps else "  steps to success -")
     print(f"  one action       {latency['median']:.2f} s median, {latency['p95']:.2f} s 95th percentile")

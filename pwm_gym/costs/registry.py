@@ -62,6 +62,16 @@ class Cost:
         """
         return {n: w * self._checked(n, f, points, info) for n, (w, f) in self.terms.items()}
 
+    def plus(self, terms: Mapping[str, tuple[float, Function]]) -> Cost:
+        """This cost with further weighted terms.
+
+        Raises:
+            ValueError: it has a term of that name already.
+        """
+        if taken := sorted({*terms} & {*self.terms}):
+            raise ValueError(f"cost {self.name!r} has a term {taken[0]!r} already")
+        return Cost(self.name, {**self.terms, **terms})
+
     def _checked(self, name: str, function: Function, points: Points, info: Info) -> Tensor:
         batch = len(info["action"])
         try:

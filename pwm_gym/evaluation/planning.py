@@ -10,19 +10,24 @@ import gymnasium as gym
 import numpy as np
 from tqdm import tqdm
 
-from pwm_gym.planning import Agent, Run, closed_loop
+from pwm_gym.planning import Agent, Run, execute
 
 __all__ = ["planning_table", "run_episodes", "wilson"]
 
 
 def run_episodes(
-    env: gym.Env[Any, Any], agent: Agent, seeds: Sequence[int], max_steps: int = 100, progress: bool = True
+    env: gym.Env[Any, Any],
+    agent: Agent,
+    seeds: Sequence[int],
+    max_steps: int = 100,
+    chunk: int = 1,
+    progress: bool = True,
 ) -> list[Run]:
-    """Closed-loop runs of ``seeds``; those that succeed at reset are left out."""
+    """Runs of ``seeds``; those that succeed at reset are left out. Arguments as of :func:`pwm_gym.planning.execute`."""
     runs = []
     with tqdm(seeds, unit="episode", disable=not progress, desc="plan") as bar:
         for seed in bar:
-            run = closed_loop(env, agent, seed, max_steps)
+            run = execute(env, agent, seed, max_steps, chunk)
             if not run.at_reset:
                 runs.append(run)
             bar.set_postfix(success=f"{sum(r.success for r in runs)}/{len(runs)}")

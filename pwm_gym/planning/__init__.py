@@ -1,11 +1,14 @@
 """Planners and their execution. They receive a model or an environment; they know no simulator."""
 
+from pwm_gym.planning.agent import Agent
 from pwm_gym.planning.cem import CEM, CEMConfig
-from pwm_gym.planning.execute import Agent, Run, closed_loop
+from pwm_gym.planning.constraints import keep_clear, workspace
+from pwm_gym.planning.execute import execute
 from pwm_gym.planning.gradient import GradientConfig, GradientPlanner
 from pwm_gym.planning.mppi import MPPI, MPPIConfig
 from pwm_gym.planning.objective import RolloutObjective
 from pwm_gym.planning.registry import build_planner
+from pwm_gym.planning.run import Run
 from pwm_gym.planning.sampling import Objective, Planner, SamplingConfig
 
 __all__ = [
@@ -22,5 +25,7 @@ __all__ = [
     "Run",
     "SamplingConfig",
     "build_planner",
-    "closed_loop",
+    "execute",
+    "keep_clear",
+    "workspace",
 ]

@@ -62,7 +62,7 @@ class GradientPlanner(SamplingPlanner):
                 refined.grad.mul_(free)
                 adam.step()
                 with torch.no_grad():
-                    refined.clamp_(-1.0, 1.0)
+                    refined.clamp_(-self._bound, self._bound)
         costs = objective(refined.detach())
         better = costs < cheapest
         best = torch.where(better[..., None, None], refined.detach(), best)

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from pwm_gym.costs import Cost, cost_info
 from pwm_gym.costs.registry import Function
 from pwm_gym.dynamics.model import WorldModel, rollout
+from pwm_gym.errors import PwmGymError
 from pwm_gym.scene import RigidState, State
 
 __all__ = ["RolloutObjective"]
@@ -24,6 +26,7 @@ class RolloutObjective:
         grasp: rule for ``info["grasped"]``.
         terminal: extra weight of the last step.
         points: points an entity that the cost reads (rigid models only); None reads all.
+        caution: cost of a metre of expected error (the entities' sum) at a step.
     """
 
     def __init__(
@@ -33,16 +36,25 @@ class RolloutObjective:
         grasp: Function,
         terminal: float = 2.0,
         points: int | None = None,
+        caution: float = 0.0,
     ) -> None:
         self.model, self.cost, self.grasp, self.terminal, self.points = model, cost, grasp, terminal, points
+        self.caution = caution
         self._state: State | None = None
         self._goal = torch.empty(0)
 
     def begin(self, state: State, goal: Tensor) -> RolloutObjective:
-        """Plan from ``state`` (B,) towards ``goal`` (B, G)."""
+        """Plan from ``state`` (B,) towards ``goal`` (B, G).
+
+        Raises:
+            PwmGymError: caution is asked for with a model that does not tell its expected error.
+        """
         state = self.model.prepare(state)
+        if self.caution and getattr(state, "error", None) is None:
+            kind = type(self.model).__name__
+            raise PwmGymError(f"caution={self.caution}; {kind} does not tell its expected error")
         if isinstance(state, RigidState):
-            state = replace(state, error=None)  # which no cost reads
+            state = state if self.caution else replace(state, error=None)
             if self.points is not None:
                 state = state.coarsen(state.layout.truncate(self.points))
         self._state, self._goal = state, goal
@@ -57,8 +69,16 @@ class RolloutObjective:
         flat = states.map(lambda x: x.flatten(0, 1))
         goal = _repeat(self._goal, samples * horizon)
         points, info = cost_info(flat, actions.reshape(-1, size), goal, self.grasp)
-        costs = self.cost(points, info).view(batch, samples, horizon)
+        costs = self.cost(points, info)
+        if isinstance(flat, RigidState) and flat.error is not None:
+            costs = costs + self.caution * flat.error.sum(-1)
+        costs = costs.view(batch, samples, horizon)
         return costs.sum(-1) + self.terminal * costs[..., -1]
+
+    def terms(self, states: State, actions: Tensor, goal: Tensor) -> dict[str, np.ndarray]:
+        """The cost's weighted terms, each (T,), in states (T,) after actions (T, A), for a goal (1, G)."""
+        points, info = cost_info(states, actions, goal.expand(len(actions), -1), self.grasp)
+        return {name: value.cpu().numpy() for name, value in self.cost.evaluate(points, info).items()}
 
 
 def _repeat(value: Tensor, times: int) -> Tensor:

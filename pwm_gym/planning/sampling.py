@@ -55,6 +55,8 @@ class SamplingConfig:
     stops: int = 10
     """Samples that follow the last plan for 0, 1, 2, ... steps and then stand still, the gripper as it was: noise finds
     no such sequence, and a task may ask for one at its end. At most the horizon and a quarter of the samples."""
+    bound: tuple[float, ...] = (1.0,)
+    """Largest size of an action, for each dimension or one for all; at most 1."""
     iterations: int = 1
     """Rounds of sampling around the improved mean."""
 
@@ -72,13 +74,15 @@ class SamplingPlanner(ABC):
     """
 
     def __init__(self, config: SamplingConfig, action_size: int, device: torch.device | str = "cpu") -> None:
-        for name in ("sigma", "finest", "correlation"):
+        for name in ("sigma", "finest", "correlation", "bound"):
             count = len(getattr(config, name))
             if count not in (1, action_size):
                 raise PwmGymError(f"{name} has {count} values; expected 1 or {action_size}")
         for name in ("horizon", "iterations"):
             if getattr(config, name) < 1:
                 raise PwmGymError(f"{name}={getattr(config, name)}; expected at least 1")
+        if not all(0.0 < b <= 1.0 for b in config.bound):
+            raise PwmGymError(f"bound={config.bound}; expected more than 0 and at most 1")
         if config.stops < 0:
             raise PwmGymError(f"stops={config.stops}; expected 0 or more")
         if not 1 <= config.elites <= config.samples:
@@ -90,6 +94,7 @@ class SamplingPlanner(ABC):
         self._sigma = torch.tensor(config.sigma, device=device).expand(action_size)
         self._fan = (1.0 - scale * (1.0 - finest)).unsqueeze(1)  # (S, 1, A or 1)
         self._stops = min(config.stops, config.horizon, config.samples // 4)
+        self._bound = torch.tensor(config.bound, device=device)
         self._keep = torch.tensor(config.correlation, device=device)
         self._fresh = (1.0 - self._keep.square()).sqrt()
         self._mean: Tensor | None = None  # (B, H, A)
@@ -118,7 +123,7 @@ class SamplingPlanner(ABC):
         """The last plan one step on, its last action repeated; a resting arm with an open gripper at first."""
         if self._mean is None or len(self._mean) != batch:
             rest = torch.zeros(batch, self._settings.horizon, self.action_size, device=self._sigma.device)
-            rest[..., -1] = 1.0
+            rest[..., -1] = self._bound[-1]
             return rest
         return torch.cat([self._mean[:, 1:], self._mean[:, -1:]], 1)
 
@@ -131,7 +136,7 @@ class SamplingPlanner(ABC):
             noise: (B, S, H, A), standard normal.
         """
         spread = sigma.unsqueeze(-3) if sigma.ndim == 3 else sigma
-        actions = (mean.unsqueeze(1) + spread * self._fan[: noise.shape[1]] * noise).clamp(-1.0, 1.0)
+        actions = (mean.unsqueeze(1) + spread * self._fan[: noise.shape[1]] * noise).clamp(-self._bound, self._bound)
         actions[:, -1] = mean
         for step in range(self._stops):
             stopping = actions[:, -2 - step]

@@ -1,14 +1,21 @@
+from dataclasses import replace
+
 import gymnasium as gym
 import numpy as np
 import pytest
 
+from pwm_gym.errors import PwmGymError
 from pwm_gym.evaluation import planning_table, run_episodes
-from pwm_gym.planning import Run, closed_loop
+from pwm_gym.planning import execute
+from pwm_gym.scene import batch_state
 from pwm_gym.tasks import get_task
 
 
 class Counter(gym.Env):
-    """Succeeds after as many steps as its seed says; a scene is the number of steps made."""
+    """Succeeds after as many steps as its seed says; the scene's last action tells the number of steps made."""
+
+    def __init__(self, scene):
+        self._scene = scene
 
     def reset(self, *, seed=None, options=None):
         super().reset(seed=seed)
@@ -21,48 +28,95 @@ class Counter(gym.Env):
         return self._step, 0.5, success, False, {"success": success}
 
     def scene(self):
-        return self._step
+        return replace(self._scene, last_action=np.full(7, self._step, np.float32))
 
 
 class Recorder:
-    """An agent that writes down what it is asked."""
+    """An agent that writes down what it is asked; its actions are the scenes' numbers of steps."""
+
+    device = "cpu"
 
     def __init__(self):
-        self.seeds, self.scenes = [], []
+        self.seeds, self.scenes, self.advanced = [], [], []
 
     def reset(self, seed):
         self.seeds.append(seed)
 
     def act(self, scene):
-        self.scenes.append(scene)
-        return np.full(7, scene, np.float32)
+        self.scenes.append(None if scene is None else int(scene.last_action[0]))
+        if scene is not None:
+            self.state = batch_state([scene])
+        return np.full(7, len(self.scenes) - 1, np.float32)
+
+    def advance(self, action):
+        self.advanced.append(int(action[0]))
+        return self.state
+
+    def terms(self, states, actions):
+        return {"steps": np.arange(len(actions), dtype=np.float32)}
+
+    def rewards(self, states, actions):
+        return np.zeros(len(actions))
+
+    def describe(self):
+        return {"planner": "Recorder"}
 
 
-def test_it_plans_from_the_scene_after_every_action():
-    agent, shown = Recorder(), []
-    run = closed_loop(Counter(), agent, seed=3, on_scene=shown.append)
-    assert agent.seeds == [3] and agent.scenes == [0, 1, 2]
-    assert shown == [0, 1, 2, 3]
-    assert run.success and run.steps == 3 and not run.at_reset
-    assert [a[0] for a in run.actions] == [0, 1, 2]
-    assert run.rewards == [0.5] * 3 and len(run.plan_seconds) == len(run.infos) == 3
+@pytest.fixture
+def counter(scene):
+    return Counter(scene)
 
 
-def test_it_stops_at_the_step_limit():
-    run = closed_loop(Counter(), Recorder(), seed=50, max_steps=7)
+def test_closed_loop_plans_from_the_scene_after_every_action(counter):
+    agent = Recorder()
+    run = execute(counter, agent, seed=3)
+    assert agent.seeds == [3] and agent.scenes == agent.advanced == [0, 1, 2]
+    assert run.success and run.steps == 3 and not run.at_reset and run.chunk == 1
+    assert run.actions[:, 0].tolist() == [0, 1, 2]
+    assert run.rewards.tolist() == [0.5] * 3 and run.plan_seconds.shape == (3,)
+    assert run.poses.shape == (4, 4, 7) and run.predicted.shape == (3, 4, 7)
+    assert run.terms["steps"].tolist() == [0, 1, 2] and run.settings == {"planner": "Recorder"}
+
+
+@pytest.mark.parametrize(("chunk", "looks"), [(2, [0, None, 2, None, 4]), (3, [0, None, None, 3, None])])
+def test_chunks_look_every_so_many_steps(counter, chunk, looks):
+    agent = Recorder()
+    execute(counter, agent, seed=5, chunk=chunk)
+    assert agent.scenes == looks and agent.advanced == [0, 1, 2, 3, 4]
+
+
+def test_open_loop_looks_once(counter):
+    agent = Recorder()
+    execute(counter, agent, seed=4, chunk=0)
+    assert agent.scenes == [0, None, None, None]
+
+
+def test_a_negative_chunk_is_a_clear_error(counter):
+    with pytest.raises(PwmGymError, match="chunk=-1; expected 0"):
+        execute(counter, Recorder(), seed=4, chunk=-1)
+
+
+def test_an_agent_may_see_less_than_the_scene(counter):
+    agent = Recorder()
+    execute(counter, agent, 2, observe=lambda scene: replace(scene, last_action=10 + scene.last_action))
+    assert agent.scenes == [10, 11]
+
+
+def test_it_stops_at_the_step_limit(counter):
+    run = execute(counter, Recorder(), seed=50, max_steps=7)
     assert run.steps == 7 and not run.success
 
 
-def test_episodes_that_succeed_at_reset_are_left_out():
-    runs = run_episodes(Counter(), Recorder(), [0, 2, 50, 4], max_steps=10, progress=False)
+def test_episodes_that_succeed_at_reset_are_left_out(counter):
+    runs = run_episodes(counter, Recorder(), [0, 2, 50, 4], max_steps=10, progress=False)
     assert [(r.seed, r.success) for r in runs] == [(2, True), (50, False), (4, True)]
     table = planning_table(runs)
     assert (table["episodes"], table["successes"], table["failed_seeds"]) == (3, 2, [50])
     assert table["mean_steps_of_successes"] == 3.0
 
 
-def test_a_table_of_failures_has_no_steps_to_success():
-    run = Run(seed=7, actions=[np.zeros(7)] * 2, plan_seconds=[0.1, 0.3])
+def test_a_table_of_failures_has_no_steps_to_success(counter):
+    run = replace(execute(counter, Recorder(), seed=9, max_steps=2), plan_seconds=np.array([0.1, 0.3]))
     table = planning_table([run])
     assert table["successes"] == 0 and table["mean_steps_of_successes"] is None
     assert table["plan_seconds"]["median"] == pytest.approx(0.2)
@@ -75,9 +129,10 @@ def test_a_perfect_agent_succeeds_in_the_twin(sim):
             self.expert = get_task("PickCube").expert(np.random.default_rng(seed))
 
         def act(self, scene):
+            super().act(scene)
             return self.expert.act(scene.poses[0], scene.goal)
 
     env = gym.wrappers.TimeLimit(sim.unwrapped, 130)
-    run = closed_loop(env, Expert(), seed=300_000, max_steps=130)
+    run = execute(env, Expert(), seed=300_000, max_steps=130)
     assert run.success and 20 < run.steps < 120
     assert run.rewards[-1] > run.rewards[0]

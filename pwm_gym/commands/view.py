@@ -1,0 +1,104 @@
+"""``pwm-gym view``: a saved run as a picture and as a GIF."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import tyro
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from pwm_gym.planning import Run
+    from pwm_gym.viewer import TwinRecord
+
+__all__ = ["View", "rolled_out", "twin_record"]
+
+_FROM_THE_FIRST = "the model sees the first frame only, then the same actions"
+_LOOKS = {0: "planned from the first frame alone", 1: "the model looks at every step"}
+
+
+@dataclass(frozen=True)
+class View:
+    """Draw a run that ``pwm-gym plan --save`` wrote: predicted, real and both side by side."""
+
+    run_file: tyro.conf.Positional[Path]
+    """The run (.npz)."""
+    out: Path = Path("view")
+    """Folder of the pictures, which are named after the run."""
+    rollout: bool = False
+    """Whether to show one rollout from the first scene instead of what the planner predicted."""
+    checkpoint: str = "default"
+    """Of that rollout: a folder or a shipped checkpoint's name."""
+
+    def run(self) -> None:
+        """Write the PNG and the GIF, and print the run's facts."""
+        from pwm_gym.planning import Run
+        from pwm_gym.viewer import write_gif, write_png
+
+        run = Run.load(self.run_file)
+        shown = _FROM_THE_FIRST if self.rollout else _LOOKS.get(run.chunk, f"the model looks every {run.chunk} steps")
+        record = twin_record(rolled_out(run, self.checkpoint) if self.rollout else run, shown)
+        self.out.mkdir(parents=True, exist_ok=True)
+        print(f"seed {run.seed}: {'success' if run.success else 'failure'} after {run.steps} steps; {shown}")
+        for suffix, write in ((".png", write_png), (".gif", write_gif)):
+            print(write(record, self.out / f"{self.run_file.stem}{suffix}"))
+
+
+def rolled_out(run: Run, checkpoint: str = "default") -> Run:
+    """The same run, with what a checkpoint's model predicts of all its actions from the first scene alone."""
+    import torch
+
+    from pwm_gym.dynamics import load_checkpoint, resolve, rollout
+    from pwm_gym.planning import Agent
+    from pwm_gym.scene import batch_state
+    from pwm_gym.scene.se3 import pose7_from_matrix
+
+    task = run.start.task
+    agent = Agent(load_checkpoint(resolve(checkpoint, task), task).model, task)
+    agent.look(run.start)
+    with torch.no_grad():
+        states = rollout(agent.model, batch_state([run.start]), torch.as_tensor(run.actions)[None])[0]
+    return replace(
+        run,
+        predicted=pose7_from_matrix(states.poses().double()).numpy(),
+        predicted_rewards=agent.rewards(states, run.actions),
+        predicted_terms=agent.terms(states, run.actions),
+    )
+
+
+def twin_record(run: Run, predicted: str) -> TwinRecord:
+    """Both worlds of a run, ready to be drawn; ``predicted`` says what the prediction is of."""
+    import numpy as np
+
+    from pwm_gym.evaluation import chamfer
+    from pwm_gym.viewer import TwinRecord
+
+    start = run.start
+    told = _points(run, np.concatenate([run.poses[:1], run.predicted]))
+    true = _points(run, run.poses)
+    return TwinRecord(
+        predicted=told,
+        true=true,
+        layout=start.layout,
+        error=np.array([chamfer(p, q) for p, q in zip(told, true, strict=True)]),
+        goal=start.goal,
+        predicted_reward=np.array([run.predicted_rewards[0], *run.predicted_rewards]),
+        true_reward=np.array([run.rewards[0], *run.rewards]),
+        title=f"{start.task}: planned in the world model, executed in the simulator",
+        subtitle=f"seed {run.seed}; {predicted}",
+    )
+
+
+def _points(run: Run, poses: np.ndarray) -> np.ndarray:
+    """World-frame points (T, N, 3) of entity poses (T, E, 7)."""
+    import numpy as np
+    import torch
+
+    from pwm_gym.scene.se3 import matrix_from_pose7, transform
+
+    frames, start = matrix_from_pose7(torch.as_tensor(poses)).float(), run.start
+    parts = [transform(frames[:, i], torch.as_tensor(start.clouds[e.slice])) for i, e in enumerate(start.layout)]
+    return np.concatenate([p.numpy() for p in parts], 1)

@@ -1,0 +1,122 @@
+"""A planner with a world model and a cost: scenes in, actions out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from pwm_gym.costs import cost_info, get_cost, get_grasp
+from pwm_gym.costs.registry import Function
+from pwm_gym.dynamics.model import WorldModel
+from pwm_gym.errors import PwmGymError
+from pwm_gym.planning.mppi import MPPIConfig
+from pwm_gym.planning.objective import RolloutObjective
+from pwm_gym.planning.registry import build_planner
+from pwm_gym.planning.sampling import Planner, SamplingConfig
+from pwm_gym.scene import Scene, State, batch_state
+from pwm_gym.tasks import get_task
+
+__all__ = ["Agent"]
+
+
+class Agent:
+    """Plans from where it last looked, or from where its actions have led in the model since.
+
+    Args:
+        model: world model to plan in.
+        task: registered task.
+        config: settings of the planner; None takes MPPI's.
+        cost: a registered cost or a callable; None takes the task's planning cost.
+        seed: of the planner's noise.
+        device: of the model.
+        penalties: further terms of the cost, name -> weight and function (:mod:`pwm_gym.planning.constraints`).
+        caution: cost of a metre of expected error at a step, for models that tell it.
+    """
+
+    def __init__(
+        self,
+        model: WorldModel,
+        task: str = "PickCube",
+        config: SamplingConfig | None = None,
+        cost: str | Callable[..., Tensor] | None = None,
+        seed: int = 0,
+        device: str = "cpu",
+        penalties: Mapping[str, tuple[float, Function]] | None = None,
+        caution: float = 0.0,
+    ) -> None:
+        self.task, self.device, self.model = get_task(task), device, model
+        self.planner: Planner = build_planner(config or MPPIConfig(), self.task.action_size, device)
+        self.cost = get_cost(self.task.plan_cost if cost is None else cost).plus(penalties or {})
+        self.objective = RolloutObjective(model, self.cost, get_grasp(self.task.grasp), caution=caution)
+        self._generator = torch.Generator(device).manual_seed(seed)
+        self._state: State | None = None
+        self._goal = torch.empty(0)
+
+    def reset(self, seed: int) -> None:
+        """Forget the last plan and the last scene, and reseed the noise."""
+        self.planner.reset()
+        self._generator.manual_seed(seed)
+        self._state = None
+
+    def look(self, scene: Scene | Sequence[Scene]) -> None:
+        """Go on from a scene, or from several at once."""
+        scenes = [scene] if isinstance(scene, Scene) else list(scene)
+        self._state = self.model.prepare(batch_state(scenes, self.device))
+        goals = np.stack([s.goal for s in scenes])
+        self._goal = torch.as_tensor(goals, dtype=torch.float32, device=self.device)
+
+    def plan(self, scene: Scene | Sequence[Scene] | None = None) -> np.ndarray:
+        """Planned actions (H, A), or (B, H, A) of several scenes.
+
+        Args:
+            scene: to look at first; None plans from the present state.
+
+        Raises:
+            PwmGymError: there is no state yet.
+        """
+        if scene is not None:
+            self.look(scene)
+        objective = self.objective.begin(self._present(), self._goal)
+        plans = self.planner.plan(objective, self._generator, len(self._goal)).cpu().numpy()
+        return plans if scene is not None and not isinstance(scene, Scene) else plans[0]
+
+    def act(self, scene: Scene | None = None) -> np.ndarray:
+        """First action (A,) of :meth:`plan`."""
+        return self.plan(scene)[0]
+
+    @torch.no_grad()
+    def advance(self, action: np.ndarray) -> State:
+        """Take the model's prediction (1,) of an action (A,) for the present state."""
+        command = torch.as_tensor(action, dtype=torch.float32, device=self.device)
+        self._state = self.model.step(self._present(), command[None])
+        return self._state
+
+    @torch.no_grad()
+    def terms(self, states: State, actions: np.ndarray) -> dict[str, np.ndarray]:
+        """The cost of states (T,) after actions (T, A), by term, each (T,)."""
+        return self.objective.terms(states, torch.as_tensor(actions, device=self.device), self._goal[:1])
+
+    @torch.no_grad()
+    def rewards(self, states: State, actions: np.ndarray) -> np.ndarray:
+        """The task's rewards (T,) in states (T,) after actions (T, A)."""
+        command = torch.as_tensor(actions, device=self.device)
+        points, info = cost_info(states, command, self._goal[:1].expand(len(command), -1), self.objective.grasp)
+        return -get_cost(self.task.cost)(points, info).cpu().numpy()
+
+    def describe(self) -> dict[str, Any]:
+        """What it plans with: model, planner and cost by name."""
+        return {
+            "model": type(self.model).__name__,
+            "planner": type(self.planner).__name__,
+            "cost": self.cost.name,
+            "caution": self.objective.caution,
+        }
+
+    def _present(self) -> State:
+        if self._state is None:
+            raise PwmGymError("the agent has no state yet; give plan() a scene, or call look() first")
+        return self._state

@@ -1,0 +1,132 @@
+"""What happened in one planned episode: a record that saves to a file and loads from it."""
+
+from __future__ import annotations
+
+import io
+import json
+import zipfile
+import zlib
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pwm_gym.errors import PwmGymError
+from pwm_gym.scene import Scene
+from pwm_gym.scene.layout import Layout
+
+__all__ = ["Run"]
+
+_FACTS = ("seed", "chunk", "success", "at_reset")
+_ARRAYS = ("actions", "rewards", "plan_seconds", "poses", "predicted", "predicted_rewards")
+_START = "start."
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """One episode of T actions. Metres, base frame.
+
+    Raises:
+        PwmGymError: arrays that do not fit each other.
+    """
+
+    start: Scene
+    """The first scene."""
+    seed: int
+    """Of the episode and of the planner's noise."""
+    success: bool
+    """Whether the environment called it a success."""
+    actions: np.ndarray
+    """(T, A) in [-1, 1]."""
+    rewards: np.ndarray
+    """The environment's (T,)."""
+    plan_seconds: np.ndarray
+    """Seconds (T,) from looking to the action."""
+    poses: np.ndarray
+    """Real entity poses (T + 1, E, 7): xyz in metres, unit quaternion wxyz."""
+    predicted: np.ndarray
+    """Poses (T, E, 7) that the model predicted after each action, since it last looked."""
+    predicted_rewards: np.ndarray
+    """The task's rewards (T,) of the predicted states."""
+    terms: dict[str, np.ndarray] = field(default_factory=dict)
+    """The planner's cost of the real states after each action, term -> (T,)."""
+    predicted_terms: dict[str, np.ndarray] = field(default_factory=dict)
+    """The same of the predicted states."""
+    chunk: int = 1
+    """Actions between two looks; 0 where it looked once."""
+    at_reset: bool = False
+    """Whether it was a success before the first action; such seeds are left out of tables."""
+    settings: dict[str, Any] = field(default_factory=dict)
+    """What planned: model, planner and cost."""
+
+    def __post_init__(self) -> None:
+        """Check the arrays' lengths."""
+        steps, entities = len(self.actions), len(self.start.layout)
+        shapes = {
+            "rewards": (steps,),
+            "plan_seconds": (steps,),
+            "poses": (steps + 1, entities, 7),
+            "predicted": (steps, entities, 7),
+            "predicted_rewards": (steps,),
+        }
+        for name, shape in shapes.items():
+            if np.shape(getattr(self, name)) != shape:
+                raise PwmGymError(f"run.{name} has shape {np.shape(getattr(self, name))}; expected {shape}")
+        for name, values in (*self.terms.items(), *self.predicted_terms.items()):
+            if np.shape(values) != (steps,):
+                raise PwmGymError(f"run's cost term {name!r} has shape {np.shape(values)}; expected {(steps,)}")
+
+    @property
+    def steps(self) -> int:
+        """Actions executed, T."""
+        return len(self.actions)
+
+    def save(self, path: str | Path) -> None:
+        """Write the record to an ``.npz`` file (arrays and JSON text, no pickle)."""
+        start = {f"{_START}{k}": v for k, v in asdict(self.start).items() if isinstance(v, np.ndarray)}
+        header = {
+            "format": "pwm_gym.run",
+            "schema": 1,
+            "task": self.start.task,
+            "layout": self.start.layout.to_json(),
+            **{name: getattr(self, name) for name in _FACTS},
+            "settings": self.settings,
+            "terms": list(self.terms),
+        }
+        arrays = {name: getattr(self, name) for name in _ARRAYS}
+        arrays["terms"] = (
+            np.stack([*self.terms.values(), *self.predicted_terms.values()]) if self.terms else np.empty(0)
+        )
+        buffer = io.BytesIO()
+        np.savez_compressed(buffer, header=np.array(json.dumps(header)), **arrays, **start)
+        Path(path).write_bytes(buffer.getvalue())
+
+    @classmethod
+    def load(cls, path: str | Path) -> Run:
+        """Read a record that :meth:`save` wrote.
+
+        Raises:
+            PwmGymError: the file is truncated or not a run.
+        """
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                header = json.loads(str(file["header"]))
+                if header.get("format") != "pwm_gym.run":
+                    raise PwmGymError(f"{path} has format {header.get('format')!r}; expected 'pwm_gym.run'")
+                arrays = {name: file[name] for name in _ARRAYS}
+                start = {k.removeprefix(_START): file[k] for k in file.files if k.startswith(_START)}
+                values = dict(enumerate(file["terms"]))
+        except FileNotFoundError:
+            raise
+        except (KeyError, TypeError, ValueError, OSError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+            raise PwmGymError(f"{path} is not a run's file ({error})") from error
+        names = header["terms"]
+        return cls(
+            start=Scene(task=header["task"], layout=Layout.from_json(header["layout"]), **start),
+            **{name: header[name] for name in _FACTS},
+            **arrays,
+            terms={n: values[i] for i, n in enumerate(names)},
+            predicted_terms={n: values[len(names) + i] for i, n in enumerate(names)},
+            settings=header["settings"],
+        )

@@ -1,0 +1,96 @@
+import numpy as np
+import pytest
+import torch
+
+from pwm_gym.dynamics import build_model
+from pwm_gym.errors import PwmGymError
+from pwm_gym.planning import Agent, MPPIConfig
+from pwm_gym.scene import batch_state
+from pwm_gym.tasks import get_task
+
+TASK = get_task("PickCube")
+QUICK = MPPIConfig(samples=16, elites=4, horizon=4)
+
+
+@pytest.fixture
+def agent(env):
+    agent = Agent(env.unwrapped.model, "PickCube", QUICK)
+    agent.reset(0)
+    return agent
+
+
+def test_it_goes_on_in_the_model_from_where_it_looked(agent, env, scene):
+    """Planning without looking is planning from the model's own prediction."""
+    first = agent.act(scene)
+    agent.advance(first)
+    env.reset(options={"scene": scene})
+    env.step(first)
+    unseen = agent.plan()
+    agent.reset(0)
+    assert np.array_equal(agent.act(scene), first)
+    np.testing.assert_allclose(agent.plan(env.unwrapped.scene()), unseen, atol=1e-3)
+
+
+def test_it_plans_for_several_scenes_at_once(agent, env):
+    scenes = [env.unwrapped.vector.checkpoint.bank.scene(i) for i in range(3)]
+    plans = agent.plan(scenes)
+    assert plans.shape == (3, 4, 7)
+    assert agent.plan(scenes[:1]).shape == (1, 4, 7) and agent.plan(scenes[0]).shape == (4, 7)
+    assert len({p.tobytes() for p in plans}) == 3
+
+
+def test_it_needs_a_scene_first(agent, scene):
+    with pytest.raises(PwmGymError, match="no state yet"):
+        agent.plan()
+    agent.look(scene)
+    agent.plan()
+    agent.reset(0)
+    with pytest.raises(PwmGymError, match="no state yet"):
+        agent.advance(np.zeros(7))
+
+
+def test_terms_and_rewards_are_those_of_the_costs(agent, scene):
+    agent.look(scene)
+    states, actions = batch_state([scene] * 3), np.zeros((3, 7), np.float32)
+    terms = agent.terms(states, actions)
+    assert terms.keys() == agent.cost.terms.keys() and all(v.shape == (3,) for v in terms.values())
+    assert sum(abs(v).sum() for v in terms.values()) > 0
+    rewards = agent.rewards(states, actions)
+    assert rewards.shape == (3,) and 0 <= rewards[0] < 0.5
+
+
+def test_caution_avoids_what_the_model_is_unsure_of(env, scene):
+    """Between two equally good directions it takes the one with the smaller expected error."""
+    model = env.unwrapped.model
+
+    class Unsure:
+        layout, action_size = model.layout, model.action_size
+
+        def prepare(self, state):
+            return model.prepare(state)
+
+        def step(self, state, action):
+            moved = model.step(state, action)
+            return moved.advance(moved.poses(), moved.joints, state.error + action[:, :1].clamp_min(0.0))
+
+    def flat(points, info):
+        return 0.0 * info["action"][..., 0]
+
+    first = {}
+    for caution in (0.0, 10.0):
+        agent = Agent(Unsure(), "PickCube", MPPIConfig(samples=64, elites=8, horizon=4), cost=flat, caution=caution)
+        agent.reset(0)
+        first[caution] = agent.plan(scene)[:, 0].mean()
+    assert first[10.0] < -0.1 and first[10.0] < first[0.0]
+
+
+def test_caution_needs_a_model_that_tells_its_error(scene):
+    still = build_model("still", TASK.layout, TASK.action_size, TASK.control)
+    agent = Agent(still, "PickCube", QUICK, caution=1.0)
+    with pytest.raises(PwmGymError, match=r"caution=1.0; .* does not tell its expected error"):
+        agent.plan(scene)
+
+
+def test_penalties_may_not_hide_a_term_of_the_cost(env):
+    with pytest.raises(ValueError, match="has a term 'carry' already"):
+        Agent(env.unwrapped.model, penalties={"carry": (1.0, lambda points, info: torch.zeros(1))})
