@@ -6,8 +6,9 @@ import pytest
 
 from pwm_gym.cli import main
 from pwm_gym.data.episodes import read_shard, write_shard
+from pwm_gym.planning import Run
 
-COMMANDS = ("demo", "envs", "collect", "train", "evaluate", "plan", "bench", "check-cost")
+COMMANDS = ("demo", "envs", "collect", "train", "evaluate", "plan", "view", "bench", "check-cost")
 
 
 def failure(*args) -> str:
@@ -33,7 +34,7 @@ def test_every_command_explains_itself(command, capsys):
     assert end.value.code == 0
     help_text = capsys.readouterr().out
     assert f"usage: pwm-gym {command}" in help_text
-    assert command == "envs" or "--task" in help_text or "COST" in help_text.upper()
+    assert command in ("envs", "view") or "--task" in help_text or "COST" in help_text.upper()
 
 
 def test_help_lists_every_command(capsys):
@@ -49,6 +50,8 @@ def test_help_lists_every_command(capsys):
         (["collect", "--task", "PickCub", "--out"], "unknown task 'PickCub'; known: "),
         (["plan", "--checkpoint", "nothing"], "unknown checkpoint 'nothing'; known: "),
         (["demo", "--checkpoint", "PickCub"], "Did you mean 'PickCube'?"),
+        (["plan", "--planner", "mpi"], "Did you mean 'mppi'?"),
+        (["view", "nothing.npz"], "nothing.npz"),
         (["plan", "--seeds", "plan_tst"], "unknown range of seeds 'plan_tst'; known: plan_test, plan_validation, "),
         (["train", "--data", "nowhere", "--out"], "nowhere is not a data set"),
         (["evaluate", "--data", "nowhere"], "nowhere is not a data set"),
@@ -159,12 +162,29 @@ def test_evaluate_writes_its_table(short_episodes, tmp_path, capsys):
 
 
 def test_plan_writes_its_table(tmp_path, capsys):
-    args = "plan --episodes 1 --max-steps 3 --threads 1 --planner.samples 8 --planner.elites 4 --planner.horizon 2"
+    args = "plan --episodes 1 --max-steps 3 --threads 1 --samples 8 --horizon 2"
     main([*args.split(), "--json", str(tmp_path / "plan.json")])
     results = json.loads((tmp_path / "plan.json").read_text())
     assert results["episodes"] == 1 and results["runs"][0]["steps"] == 3
-    assert results["planner"]["samples"] == 8
+    assert results["settings"]["samples"] == 8 and results["settings"]["elites"] == 3
     assert "closed loop in the simulator" in capsys.readouterr().out
+
+
+def test_a_saved_run_is_drawn(tmp_path, capsys):
+    args = "plan --episodes 1 --max-steps 3 --threads 1 --planner icem --samples 8 --horizon 2 --chunk 2 --caution 0.1"
+    main([*args.split(), "--clear-of", "cube", "--save", str(tmp_path / "runs")])
+    (saved,) = (tmp_path / "runs").iterdir()
+    run = Run.load(saved)
+    assert run.steps == 3 and run.chunk == 2 and run.settings["planner"] == "CEM" and "clear" in run.terms
+    for extra in ([], ["--rollout"]):
+        main(["view", str(saved), "--out", str(tmp_path / "view"), *extra])
+        assert {p.name for p in (tmp_path / "view").iterdir()} == {f"{saved.stem}.png", f"{saved.stem}.gif"}
+    assert "failure after 3 steps; the model looks every 2 steps" in capsys.readouterr().out
+
+
+def test_a_workspace_that_is_no_box_is_a_clear_error():
+    with pytest.raises(SystemExit, match="low below high"):
+        main(["plan", "--episodes", "1", "--threads", "1", "--workspace", "0", "0", "0", "1", "1", "0"])
 
 
 @pytest.mark.slow

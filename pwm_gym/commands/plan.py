@@ -2,25 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
-
-import tyro
-
-from pwm_gym.planning import CEMConfig, GradientConfig, MPPIConfig
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from pwm_gym.planning import SamplingConfig
     from pwm_gym.tasks import Task
 
 __all__ = ["Plan"]
-
-_Planner = (
-    Annotated[MPPIConfig, tyro.conf.subcommand("mppi")]
-    | Annotated[CEMConfig, tyro.conf.subcommand("cem")]
-    | Annotated[CEMConfig, tyro.conf.subcommand("icem", default=CEMConfig.icem())]
-    | Annotated[GradientConfig, tyro.conf.subcommand("gradient")]
-)
 
 
 @dataclass(frozen=True)
@@ -39,8 +29,14 @@ class Plan:
     """First seed of the range."""
     max_steps: int = 100
     """Actions an episode at most."""
-    planner: _Planner = field(default_factory=MPPIConfig)
-    """The planner and its settings."""
+    planner: str = "mppi"
+    """mppi, mppi-paper (the paper's settings), cem, icem or gradient."""
+    samples: int | None = None
+    """Action sequences an iteration; the elites change in proportion. None leaves the planner's own."""
+    horizon: int | None = None
+    """Steps that each looks ahead."""
+    iterations: int | None = None
+    """Rounds of sampling an action."""
     chunk: int = 1
     """Actions between two looks: 1 is closed loop, 0 looks at the first scene alone (open loop)."""
     caution: float = 0.0
@@ -71,12 +67,13 @@ class Plan:
 
         if self.seeds not in RANGES:
             raise unknown_name("range of seeds", self.seeds, RANGES)
+        config = self._config()
         prepare_process(self.threads)
         task = get_task(self.task)
         model = load_checkpoint(resolve(self.checkpoint, self.task), self.task).model
         env = gym.make(f"pwm/{self.task}Sim-v0", max_episode_steps=self.max_steps)
         seeds = seed_range(self.seeds, self.episodes, self.offset)
-        agent = Agent(model, self.task, self.planner, penalties=self._penalties(task), caution=self.caution)
+        agent = Agent(model, self.task, config, penalties=self._penalties(task), caution=self.caution)
         runs = run_episodes(env, agent, seeds, self.max_steps, self.chunk)
         env.close()
         table = planning_table(runs)
@@ -86,8 +83,18 @@ class Plan:
             for run in runs:
                 run.save(self.save / f"seed-{run.seed}.npz")
         if self.json is not None:
-            facts = {"planner": type(agent.planner).__name__, "settings": asdict(self.planner), "chunk": self.chunk}
-            write_results(self.json, {**facts, "seeds": self.seeds, **table})
+            facts = {"planner": self.planner, "settings": asdict(config), "chunk": self.chunk, "seeds": self.seeds}
+            write_results(self.json, {**facts, **table})
+
+    def _config(self) -> SamplingConfig:
+        """The planner's settings with what the options change."""
+        from pwm_gym.planning import get_planner_config
+
+        config = get_planner_config(self.planner)
+        changes = {k: v for k in ("samples", "horizon", "iterations") if (v := getattr(self, k)) is not None}
+        if self.samples is not None:
+            changes["elites"] = max(1, round(config.elites * self.samples / config.samples))
+        return replace(config, **changes)
 
     def _penalties(self, task: Task) -> dict[str, Any]:
         """Terms that the constraints add to the cost."""

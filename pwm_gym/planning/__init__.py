@@ -7,13 +7,14 @@ from pwm_gym.planning.execute import execute
 from pwm_gym.planning.gradient import GradientConfig, GradientPlanner
 from pwm_gym.planning.mppi import MPPI, MPPIConfig
 from pwm_gym.planning.objective import RolloutObjective
-from pwm_gym.planning.registry import build_planner
+from pwm_gym.planning.registry import PLANNERS, build_planner, get_planner_config
 from pwm_gym.planning.run import Run
 from pwm_gym.planning.sampling import Objective, Planner, SamplingConfig
 
 __all__ = [
     "CEM",
     "MPPI",
+    "PLANNERS",
     "Agent",
     "CEMConfig",
     "GradientConfig",
@@ -26,6 +27,7 @@ __all__ = [
     "SamplingConfig",
     "build_planner",
     "execute",
+    "get_planner_config",
     "keep_clear",
     "workspace",
 ]

@@ -1,16 +1,36 @@
-"""Planners by name."""
+"""Planners by name, and by their configuration."""
 
 from __future__ import annotations
 
-from pwm_gym.errors import PwmGymError
+from pwm_gym.errors import PwmGymError, unknown_name
 from pwm_gym.planning.cem import CEM, CEMConfig
 from pwm_gym.planning.gradient import GradientConfig, GradientPlanner
 from pwm_gym.planning.mppi import MPPI, MPPIConfig
 from pwm_gym.planning.sampling import Planner, SamplingConfig
 
-__all__ = ["build_planner"]
+__all__ = ["PLANNERS", "build_planner", "get_planner_config"]
 
-_PLANNERS: dict[type[SamplingConfig], type] = {MPPIConfig: MPPI, CEMConfig: CEM, GradientConfig: GradientPlanner}
+PLANNERS: dict[str, SamplingConfig] = {
+    "mppi": MPPIConfig(),
+    "mppi-paper": MPPIConfig.paper(),
+    "cem": CEMConfig(),
+    "icem": CEMConfig.icem(),
+    "gradient": GradientConfig(),
+}
+"""Name -> default settings."""
+
+_BUILDERS: dict[type[SamplingConfig], type] = {MPPIConfig: MPPI, CEMConfig: CEM, GradientConfig: GradientPlanner}
+
+
+def get_planner_config(name: str) -> SamplingConfig:
+    """Settings of the planner called ``name``.
+
+    Raises:
+        UnknownNameError: listing the known planners and the nearest one.
+    """
+    if name not in PLANNERS:
+        raise unknown_name("planner", name, PLANNERS)
+    return PLANNERS[name]
 
 
 def build_planner(config: SamplingConfig, action_size: int, device: str = "cpu") -> Planner:
@@ -19,8 +39,8 @@ def build_planner(config: SamplingConfig, action_size: int, device: str = "cpu")
     Raises:
         PwmGymError: it is of none, or holds a setting that cannot be.
     """
-    if type(config) not in _PLANNERS:
-        known = ", ".join(kind.__name__ for kind in _PLANNERS)
+    if type(config) not in _BUILDERS:
+        known = ", ".join(kind.__name__ for kind in _BUILDERS)
         raise PwmGymError(f"{type(config).__name__} is no planner's configuration; expected one of {known}")
-    planner: Planner = _PLANNERS[type(config)](config, action_size, device)
+    planner: Planner = _BUILDERS[type(config)](config, action_size, device)
     return planner

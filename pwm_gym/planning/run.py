@@ -84,7 +84,7 @@ class Run:
 
     def save(self, path: str | Path) -> None:
         """Write the record to an ``.npz`` file (arrays and JSON text, no pickle)."""
-        start = {f"{_START}{k}": v for k, v in asdict(self.start).items() if isinstance(v, np.ndarray)}
+        start: dict[str, Any] = {f"{_START}{k}": v for k, v in asdict(self.start).items() if isinstance(v, np.ndarray)}
         header = {
             "format": "pwm_gym.run",
             "schema": 1,
@@ -94,7 +94,7 @@ class Run:
             "settings": self.settings,
             "terms": list(self.terms),
         }
-        arrays = {name: getattr(self, name) for name in _ARRAYS}
+        arrays: dict[str, Any] = {name: getattr(self, name) for name in _ARRAYS}
         arrays["terms"] = (
             np.stack([*self.terms.values(), *self.predicted_terms.values()]) if self.terms else np.empty(0)
         )
@@ -107,7 +107,7 @@ class Run:
         """Read a record that :meth:`save` wrote.
 
         Raises:
-            PwmGymError: the file is truncated or not a run.
+            PwmGymError: the file is missing, truncated or not a run.
         """
         try:
             with np.load(path, allow_pickle=False) as file:
@@ -117,8 +117,6 @@ class Run:
                 arrays = {name: file[name] for name in _ARRAYS}
                 start = {k.removeprefix(_START): file[k] for k in file.files if k.startswith(_START)}
                 values = dict(enumerate(file["terms"]))
-        except FileNotFoundError:
-            raise
         except (KeyError, TypeError, ValueError, OSError, EOFError, zipfile.BadZipFile, zlib.error) as error:
             raise PwmGymError(f"{path} is not a run's file ({error})") from error
         names = header["terms"]
