@@ -19,7 +19,7 @@ class Args:
     """Episode of the simulator."""
     steps: int = 100
     """Actions at most."""
-    samples: int = 200
+    samples: int = 100
     """Action sequences that the planner compares at each step."""
     horizon: int = 10
     """Steps that each looks ahead."""
@@ -28,13 +28,13 @@ class Args:
 def main(args: Args) -> None:
     """Run one closed-loop episode."""
     model = gym.make("pwm/PickCube-v0").unwrapped.model
-    config = pwm_gym.planning.MPPIConfig(samples=args.samples, horizon=args.horizon, elites=min(64, args.samples))
+    config = pwm_gym.planning.MPPIConfig(samples=args.samples, horizon=args.horizon, elites=max(1, args.samples // 3))
     agent = pwm_gym.planning.Agent(model, "PickCube", config)
 
     twin = gym.make("pwm/PickCubeSim-v0")
     twin.reset(seed=args.seed)
     for step in range(args.steps):
-        action = agent.act(twin.unwrapped.scene())  # 200 rollouts of the model, one action
+        action = agent.act(twin.unwrapped.scene())  # 100 rollouts of the model, one action
         _, reward, success, _, info = twin.step(action)
         if step % 10 == 0 or success:
             print(f"step {step:3d}  reward {reward:.2f}  grasped {info['simulator_grasped']}")

@@ -16,7 +16,7 @@ from pwm_gym.data.episodes import KINDS, Episode, read_shard, write_atomically, 
 from pwm_gym.data.policies import Behaviour, Demonstration, OnPolicy, Practice
 from pwm_gym.dynamics.checkpoint import load_checkpoint, resolve
 from pwm_gym.errors import DatasetError
-from pwm_gym.planning import Agent, MPPIConfig
+from pwm_gym.planning import Agent
 from pwm_gym.scene import sample_clouds
 from pwm_gym.seeds import RANGES
 from pwm_gym.sim import Simulator
@@ -28,7 +28,6 @@ SCHEMA = 1
 _EXPERT_STEPS = 120  # a demonstration that has not succeeded by then ends; the slowest expert takes about 110
 _PRACTICE_STEPS = 80
 _PLANNED_STEPS = 60
-_PLANNED_SAMPLES = 100  # half of a planner's default: twice as many episodes, and its mistakes teach
 _KINDS = ("demonstration", "practice", "on_policy")
 
 
@@ -175,7 +174,7 @@ def _behaviours(job: _Job, task: Task) -> Callable[[int], Behaviour]:
     if job.kind == "demonstration":
         return lambda seed: Demonstration(task, rng(seed), randomise=job.config.randomise)
     checkpoint = load_checkpoint(resolve(job.config.checkpoint, task.name), task.name)
-    agent = Agent(checkpoint.model, task.name, MPPIConfig(samples=_PLANNED_SAMPLES, elites=32))
+    agent = Agent(checkpoint.model, task.name)
     clouds = np.asarray(json.loads((job.config.out / "dataset.json").read_text())["clouds"], np.float32)
     return lambda seed: OnPolicy(task, agent, clouds, seed)
 

@@ -61,7 +61,14 @@ class RolloutObjective:
         return self
 
     def __call__(self, actions: Tensor) -> Tensor:
-        """Costs (B, S) of action sequences (B, S, H, A)."""
+        """Costs (B, S) of action sequences (B, S, H, A), differentiable where the actions ask for it."""
+        if actions.requires_grad:
+            return self._evaluate(actions)
+        with torch.inference_mode():  # a tenth faster than without gradients alone
+            costs = self._evaluate(actions)
+        return costs.clone()
+
+    def _evaluate(self, actions: Tensor) -> Tensor:
         assert self._state is not None, "call begin() first"
         batch, samples, horizon, size = actions.shape
         start = self._state.map(lambda x: _repeat(x, samples))

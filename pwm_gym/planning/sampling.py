@@ -38,11 +38,11 @@ class Planner(Protocol):
 class SamplingConfig:
     """Settings that all sampling planners have. The defaults are tuned on PickCube's planning-validation seeds."""
 
-    samples: int = 200
+    samples: int = 100
     """Action sequences an iteration."""
     horizon: int = 10
     """Steps that each looks ahead."""
-    elites: int = 64
+    elites: int = 32
     """Cheapest sequences that the next plan is made of."""
     sigma: tuple[float, ...] = (0.3, 0.3, 0.3, 0.0, 0.0, 0.3, 0.7)
     """Noise's standard deviation in action units, for each action dimension or one for all."""
