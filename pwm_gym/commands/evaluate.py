@@ -39,7 +39,9 @@ class Evaluate:
     pictures: Path | None = None
     """Folder for pictures (PNG): expected against real errors, and the errors of the long rollouts over time."""
     table: str | None = None
-    """rollout, baselines, register, horizon, data, head or arm."""
+    """rollout, baselines, register, horizon, data, head, arm or planning."""
+    full: bool = False
+    """Table of planning: whether the fast models plan 100 episodes instead of 20."""
     out: Path = Path("runs/tables")
     """Folder of a table's trainings and results."""
     workers: int = 1
@@ -118,8 +120,16 @@ class Evaluate:
             picture.save(self.pictures / "calibration.png")
 
     def _table(self, name: str) -> None:
-        from pwm_gym.evaluation import run_table, write_results
+        from pwm_gym.evaluation import run_planning_table, run_table, write_results
+        from pwm_gym.process import prepare_process
 
+        if name == "planning":
+            prepare_process(self.threads)
+            planning = run_planning_table(self.data, self.out, self.task, self.full)
+            _print_planning(planning)
+            if self.json is not None:
+                write_results(self.json, {"table": name, **planning})
+            return
         table = run_table(name, self.data, self.out, self.task, self.workers)
         print(table["caption"])
         for row in table["rows"]:
@@ -132,6 +142,19 @@ class Evaluate:
             )
         if self.json is not None:
             write_results(self.json, {"table": name, **table})
+
+
+def _print_planning(table: dict[str, Any]) -> None:
+    print(table["caption"])
+    for row in table["rows"]:
+        print(f"  {row['row']}, {row['samples']} samples")
+        for mode, result in row["modes"].items():
+            low, high = result["interval"]
+            steps = result["mean_steps_of_successes"]
+            print(
+                f"    {mode:14s} {result['successes']:3d}/{result['episodes']} ({low:.0%} to {high:.0%}), "
+                f"{'-' if steps is None else f'{steps:.0f}'} steps, {result['plan_seconds']['median']:.2f} s an action"
+            )
 
 
 def _baselines(task: Task, data: Path) -> dict[str, Any]:

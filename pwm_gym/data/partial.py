@@ -15,7 +15,7 @@ from tqdm import tqdm
 from pwm_gym.data.dataset import Dataset, Windows, load_split
 from pwm_gym.dynamics.training import Batch
 from pwm_gym.errors import DatasetError
-from pwm_gym.scene import Layout
+from pwm_gym.scene import Layout, Scene
 from pwm_gym.scene.se3 import matrix_from_pose7, transform
 from pwm_gym.sensing import DepthCamera, RayCaster
 from pwm_gym.tasks import Task
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 __all__ = [
     "CAMERA",
     "PARTIAL_POINTS",
+    "PartialView",
     "PartialWindows",
     "choose_visible",
     "partial_clouds",
@@ -123,6 +124,42 @@ def partial_clouds(
         for full, e in zip(dataset.layout, layout, strict=True)
     ]
     return layout, torch.cat(parts, 1)
+
+
+class PartialView:
+    """What the camera sees of a scene: as :class:`PartialWindows`, for one scene at a time.
+
+    Args:
+        meshes: the entities' surfaces, which hide points.
+        layout: of the scenes.
+        camera: looks.
+        points: points of each entity.
+        seed: of the draws among the visible points.
+    """
+
+    def __init__(
+        self,
+        meshes: Mapping[str, trimesh.Trimesh],
+        layout: Layout,
+        camera: DepthCamera = CAMERA,
+        points: int = PARTIAL_POINTS,
+        seed: int = 0,
+    ) -> None:
+        self._caster, self._camera, self._points = RayCaster(meshes, layout), camera, points
+        self._generator = torch.Generator().manual_seed(seed)
+
+    def __call__(self, scene: Scene) -> Scene:
+        """The scene with points that the camera sees; an entity that it does not see keeps points of all sides."""
+        poses = matrix_from_pose7(torch.as_tensor(scene.poses[0], dtype=torch.float64))
+        clouds = torch.as_tensor(scene.clouds)
+        placed = _posed(clouds[None].double(), scene.layout, poses[None])[0]
+        seen = torch.as_tensor(self._caster.visible(self._camera, placed.numpy(), poses.numpy()))
+        layout = scene.layout.truncate(self._points)
+        parts = [
+            clouds[full.start + choose_visible(seen[None, full.slice], e.points, self._generator)[0]]
+            for full, e in zip(scene.layout, layout, strict=True)
+        ]
+        return replace(scene, layout=layout, clouds=torch.cat(parts).numpy())
 
 
 class PartialWindows(Windows):

@@ -28,8 +28,13 @@ class WorldModel(Protocol):
 def rollout(model: WorldModel, state: State, actions: Tensor) -> State:
     """States (B, H) that ``model`` predicts from ``state`` (B,) under ``actions`` (B, H, A).
 
-    ``rollout(...).points()`` is (B, H, N, 3); step h is the state after action h.
+    ``rollout(...).points()`` is (B, H, N, 3); step h is the state after action h. A model that rolls out faster than
+    step by step has a ``rollout(state, actions)`` of its own.
     """
+    own = getattr(model, "rollout", None)
+    if own is not None:
+        states_of_all: State = own(state, actions)
+        return states_of_all
     state = model.prepare(state)
     states: list[State] = []
     for action in actions.unbind(1):

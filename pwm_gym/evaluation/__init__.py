@@ -2,6 +2,7 @@
 
 from pwm_gym.evaluation.metrics import chamfer, pearson
 from pwm_gym.evaluation.planning import planning_table, run_episodes, wilson
+from pwm_gym.evaluation.planning_table import run_planning_table
 from pwm_gym.evaluation.record import write_results
 from pwm_gym.evaluation.report import evaluate_rollouts
 from pwm_gym.evaluation.rollouts import long_rollouts, predict, validation_metrics
@@ -16,6 +17,7 @@ __all__ = [
     "planning_table",
     "predict",
     "run_episodes",
+    "run_planning_table",
     "run_table",
     "validation_metrics",
     "wilson",

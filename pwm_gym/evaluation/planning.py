@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import gymnasium as gym
@@ -11,6 +11,7 @@ import numpy as np
 from tqdm import tqdm
 
 from pwm_gym.planning import Agent, Run, execute
+from pwm_gym.scene import Scene
 
 __all__ = ["planning_table", "run_episodes", "wilson"]
 
@@ -21,13 +22,14 @@ def run_episodes(
     seeds: Sequence[int],
     max_steps: int = 100,
     chunk: int = 1,
+    observe: Callable[[Scene], Scene] | None = None,
     progress: bool = True,
 ) -> list[Run]:
     """Runs of ``seeds``; those that succeed at reset are left out. Arguments as of :func:`pwm_gym.planning.execute`."""
     runs = []
     with tqdm(seeds, unit="episode", disable=not progress, desc="plan") as bar:
         for seed in bar:
-            run = execute(env, agent, seed, max_steps, chunk)
+            run = execute(env, agent, seed, max_steps, chunk, observe)
             if not run.at_reset:
                 runs.append(run)
             bar.set_postfix(success=f"{sum(r.success for r in runs)}/{len(runs)}")

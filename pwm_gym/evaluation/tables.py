@@ -32,7 +32,7 @@ from pwm_gym.process import prepare_process
 from pwm_gym.seeds import seed_range
 from pwm_gym.tasks import Task, get_task
 
-__all__ = ["TABLES", "Row", "Table", "run_table"]
+__all__ = ["TABLES", "Row", "Table", "run_table", "trained"]
 
 _ABLATION = 500_000  # sample-steps: about ten minutes of the default model on one core
 _HEADLINE = 100_000  # half an hour to an hour of a network of points on one core, 90 minutes of GBND's graphs
@@ -216,11 +216,23 @@ class _Piece:
         return self.folder / "result.json"
 
 
-def _run(piece: _Piece) -> None:
-    """Train and evaluate one piece."""
-    prepare_process(threads=1)
-    row, task = piece.row, get_task(piece.task)
-    begun = time.perf_counter()
+def trained(table: str, row: str, data: Path, out: Path, task: str) -> Path:
+    """Checkpoint of a table's row (its first seed), trained where it is not yet.
+
+    Args:
+        table: its name.
+        row: the row's name.
+        data: a data set.
+        out: folder of the pieces.
+        task: registered task.
+    """
+    found = next(r for r in TABLES[table].rows if r.name == row)
+    return _fit(_Piece(found, found.seeds[0], data, out, task, describe_commit()))
+
+
+def _fit(piece: _Piece) -> Path:
+    """Train one piece, and return its checkpoint."""
+    row = piece.row
     config = FitConfig(
         task=piece.task,
         data=(piece.data,),
@@ -231,8 +243,15 @@ def _run(piece: _Piece) -> None:
         episodes=row.episodes,
         kinds=row.kinds,
     )
-    training = replace(row.training, seed=piece.seed)
-    checkpoint = load_checkpoint(fit(config, training, validation_metrics, progress=False), piece.task)
+    return fit(config, replace(row.training, seed=piece.seed), validation_metrics, progress=False)
+
+
+def _run(piece: _Piece) -> None:
+    """Train and evaluate one piece."""
+    prepare_process(threads=1)
+    row, task = piece.row, get_task(piece.task)
+    begun = time.perf_counter()
+    checkpoint = load_checkpoint(_fit(piece), piece.task)
     minutes = (time.perf_counter() - begun) / 60
     model = checkpoint.model
     test = load_split(piece.data, "test", piece.task)
@@ -242,7 +261,7 @@ def _run(piece: _Piece) -> None:
         "commit": piece.commit,
         "seed": piece.seed,
         "minutes": minutes,
-        "sample_steps": sum(h * steps * batch for h, steps, batch in training.phases),
+        "sample_steps": sum(h * steps * batch for h, steps, batch in row.training.phases),
         "episodes": sum(checkpoint.description["training"]["data"]["episodes"].values()),
         "parameters": sum(p.numel() for p in model.parameters()),  # type: ignore[attr-defined]
         "splits": table,

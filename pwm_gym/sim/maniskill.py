@@ -64,8 +64,12 @@ class ManiSkillSimulator:
         """Start the episode of ``seed``."""
         self._rebuild(int(seed))
 
-    def restore(self, scene: Scene) -> None:
+    def restore(self, scene: Scene, rebuild: bool = True) -> None:
         """Put robot, objects and goal where ``scene`` says, with the velocities that its poses and joints tell.
+
+        Args:
+            scene: to start from.
+            rebuild: whether to build the simulator's scene anew (0.1 s), so that nothing of before is left.
 
         Raises:
             SceneError: the scene has no joint positions, or those of another robot.
@@ -78,7 +82,8 @@ class ManiSkillSimulator:
         import sapien
         import torch
 
-        self._rebuild(0)
+        if rebuild:
+            self._rebuild(0)
         self._robot.set_qpos(torch.as_tensor(scene.joints[:1], dtype=torch.float32))
         self._robot.set_qvel(torch.as_tensor(scene.joints[1:] * self._base.control_freq, dtype=torch.float32))
         goal = _compose(self._world, np.r_[scene.goal, 1, 0, 0, 0])

@@ -38,8 +38,13 @@ class Simulator(Protocol):
     def reset(self, seed: int) -> None:
         """Start the episode of ``seed``."""
 
-    def restore(self, scene: Scene) -> None:
-        """Start from ``scene``: its poses, velocities, joints and goal."""
+    def restore(self, scene: Scene, rebuild: bool = True) -> None:
+        """Start from ``scene``: its poses, velocities, joints and goal.
+
+        Args:
+            scene: to start from.
+            rebuild: whether the future may depend on ``scene`` alone, in the last digit, too; it takes longer.
+        """
 
     def step(self, action: np.ndarray) -> SimOutcome:
         """Apply an action (A,) in [-1, 1] for one control step."""

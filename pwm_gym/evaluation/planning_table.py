@@ -1,0 +1,134 @@
+"""Planning success of every model, from one look an episode to a look at every step (paper, section 4.2)."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+
+from pwm_gym.data import Windows, load_split
+from pwm_gym.data.episodes import write_atomically
+from pwm_gym.data.partial import PartialView
+from pwm_gym.dynamics import WorldModel, build_model, load_checkpoint, resolve
+from pwm_gym.evaluation.planning import planning_table, run_episodes
+from pwm_gym.evaluation.record import describe_commit
+from pwm_gym.evaluation.tables import trained
+from pwm_gym.planning import Agent, MPPIConfig
+from pwm_gym.scene import Scene
+from pwm_gym.seeds import seed_range
+from pwm_gym.sim.model import SimulatorModel
+from pwm_gym.tasks import Task, get_task
+
+__all__ = ["CHUNKS", "MEMBERS", "Member", "run_planning_table"]
+
+CHUNKS = {"closed loop": 1, "chunks of 20": 20, "chunks of 50": 50, "open loop": 0}
+"""Name -> actions between two looks; 0 looks once."""
+
+_EPISODES, _SLOW_EPISODES, _FULL_EPISODES = 20, 5, 100
+_MAX_STEPS = 100
+
+
+@dataclass(frozen=True)
+class Member:
+    """A model that plans."""
+
+    name: str
+    kind: str
+    """"checkpoint", "row" (of the table of rollouts), "baseline" (without learning) or "simulator"."""
+    source: str
+    """The checkpoint, the row or the baseline."""
+    slow: bool = False
+    """Whether it plans fewer episodes with fewer samples."""
+    partial: bool = False
+    """Whether it sees what one camera sees."""
+
+
+MEMBERS = (
+    Member("compact (default)", "checkpoint", "default"),
+    Member("3DPWM, paper-small", "row", "3DPWM, paper-small", slow=True),
+    Member("ParticleFormer+", "row", "ParticleFormer+", slow=True, partial=True),
+    Member("Partial 3DPWM", "row", "Partial 3DPWM", slow=True, partial=True),
+    Member("linear response, no learning", "baseline", "linear"),
+    Member("the simulator itself", "simulator", "", slow=True),
+)
+"""The table's rows."""
+
+_SLOW = MPPIConfig(samples=32, elites=10)
+
+
+def run_planning_table(
+    data: Path, out: Path, task: str = "PickCube", full: bool = False, members: tuple[Member, ...] = MEMBERS
+) -> dict[str, Any]:
+    """Plan with every member in every mode; what is there already is kept.
+
+    Args:
+        data: a data set, for the baseline's fit and for members that are not trained yet.
+        out: folder of the pieces, as of :func:`pwm_gym.evaluation.run_table`.
+        task: registered task.
+        full: whether the fast members plan 100 episodes instead of 20.
+        members: rows.
+    """
+    rows = []
+    for member in members:
+        model: WorldModel | None = None
+        modes = {}
+        for mode, chunk in CHUNKS.items():
+            episodes = _SLOW_EPISODES if member.slow else _FULL_EPISODES if full else _EPISODES
+            config = _SLOW if member.slow else MPPIConfig()
+            path = _path(out, task, member, chunk, episodes, config)
+            if not path.exists():
+                model = model or _model(member, data, out, get_task(task))
+                result = _plan(model, member, get_task(task), config, chunk, episodes, path.with_suffix(""))
+                write_atomically(path, json.dumps(result, default=float).encode())
+            modes[mode] = json.loads(path.read_text())
+        rows.append({"row": member.name, "partial": member.partial, "samples": config.samples, "modes": modes})
+    return {
+        "caption": "Planning success in the simulator (paper, section 4.2)",
+        "horizon": config.horizon,
+        "rows": rows,
+    }
+
+
+def _path(out: Path, task: str, member: Member, chunk: int, episodes: int, config: MPPIConfig) -> Path:
+    """File of one member's result in one mode, named after all that decides it."""
+    recipe = repr((task, member, chunk, episodes, config, _MAX_STEPS))
+    return out / f"planning-{hashlib.sha256(recipe.encode()).hexdigest()[:12]}.json"
+
+
+def _model(member: Member, data: Path, out: Path, task: Task) -> WorldModel:
+    """The member's model, trained where it is not yet."""
+    if member.kind == "checkpoint":
+        return load_checkpoint(resolve(member.source, task.name), task.name).model
+    if member.kind == "row":
+        return load_checkpoint(trained("rollout", member.source, data, out, task.name), task.name).model
+    if member.kind == "simulator":
+        return SimulatorModel(task.simulator(), task.layout, task.name, task.goal_size)
+    model: Any = build_model(member.source, task.layout, task.action_size, task.control)
+    every = Windows(load_split(data, "train", task.name)).transitions()
+    model.response.fit(every.frames, every.actions[:, 0], every.following[:, 0])
+    return model
+
+
+def _plan(
+    model: WorldModel, member: Member, task: Task, config: MPPIConfig, chunk: int, episodes: int, folder: Path
+) -> dict[str, Any]:
+    """Test seeds of planning in the simulator; failed runs are saved in ``folder``."""
+    env = gym.make(f"pwm/{task.name}Sim-v0", max_episode_steps=_MAX_STEPS)
+    observe: Callable[[Scene], Scene] | None = None
+    if member.partial:
+        simulator = task.simulator()
+        observe = PartialView(simulator.meshes(), task.layout)
+        simulator.close()
+    agent = Agent(model, task.name, config)
+    runs = run_episodes(env, agent, seed_range("plan_test", episodes), _MAX_STEPS, chunk, observe)
+    env.close()
+    for run in runs:
+        if not run.success:
+            folder.mkdir(parents=True, exist_ok=True)
+            run.save(folder / f"seed-{run.seed}.npz")
+    return {"commit": describe_commit(), **planning_table(runs)}

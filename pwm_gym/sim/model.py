@@ -1,0 +1,68 @@
+"""A simulator in the place of a world model: what a planner could reach if its model were true."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from pwm_gym.errors import PwmGymError
+from pwm_gym.scene import Layout, RigidState, Scene, State, stack
+from pwm_gym.scene.se3 import matrix_from_pose7, pose7_from_matrix
+from pwm_gym.sim.protocol import Simulator
+
+__all__ = ["SimulatorModel"]
+
+
+class SimulatorModel:
+    """Steps a simulator from each state in turn; implements :class:`pwm_gym.dynamics.WorldModel`.
+
+    Args:
+        simulator: of the task, which is reset; another one than that which the plans are executed in.
+        layout: the scene's entities.
+        task: the task's name.
+        goal_size: G.
+    """
+
+    def __init__(self, simulator: Simulator, layout: Layout, task: str, goal_size: int) -> None:
+        self.layout, self.action_size, self._simulator = layout, simulator.action_size, simulator
+        self._task, self._goal = task, np.zeros(goal_size, np.float32)
+        simulator.reset(0)
+
+    def prepare(self, state: State) -> RigidState:
+        """The state itself.
+
+        Raises:
+            PwmGymError: it has no joint positions, which a simulator starts from.
+        """
+        if not isinstance(state, RigidState) or state.joints is None:
+            raise PwmGymError("the state has no joint positions; a simulator starts only from those")
+        return replace(state, error=None)
+
+    def step(self, state: State, action: Tensor) -> RigidState:
+        """State (B,) one control step after action (B, A)."""
+        return self.rollout(state, action.unsqueeze(1))[:, 0]
+
+    def rollout(self, state: State, actions: Tensor) -> RigidState:
+        """States (B, H) from ``state`` (B,) under ``actions`` (B, H, A)."""
+        start = self.prepare(state)
+        futures: list[State] = [self._follow(start[b], actions[b].numpy()) for b in range(len(actions))]
+        joined: RigidState = stack(futures, 0)  # type: ignore[assignment]
+        return joined
+
+    def _follow(self, state: RigidState, actions: np.ndarray) -> RigidState:
+        """States (H,) after each of the actions (H, A) from ``state`` without a batch."""
+        poses, joints = pose7_from_matrix(state.frames.double()).numpy(), state.joints
+        assert joints is not None
+        scene = Scene(self._task, self.layout, state.clouds.numpy(), poses, self._goal, joints.numpy())
+        self._simulator.restore(scene, rebuild=False)
+        future: list[State] = []
+        for action in actions:
+            self._simulator.step(action)
+            frames = matrix_from_pose7(torch.as_tensor(self._simulator.poses())).float()
+            state = state.advance(frames, torch.as_tensor(self._simulator.joints()))
+            future.append(state)
+        joined: RigidState = stack(future, 0)  # type: ignore[assignment]
+        return joined

@@ -1,0 +1,76 @@
+import json
+
+import numpy as np
+import pytest
+import torch
+
+from pwm_gym.data.partial import PARTIAL_POINTS, PartialView
+from pwm_gym.dynamics import rollout
+from pwm_gym.evaluation import planning_table as table
+from pwm_gym.evaluation.planning_table import Member, run_planning_table
+from pwm_gym.planning import MPPIConfig, Run
+from pwm_gym.scene import batch_state
+from pwm_gym.sim.model import SimulatorModel
+from pwm_gym.tasks import get_task
+
+TASK = get_task("PickCube")
+BASELINE = Member("linear", "baseline", "linear", slow=True, partial=True)
+
+
+@pytest.fixture
+def quick(monkeypatch):
+    """Two modes, one episode of two steps, few samples."""
+    monkeypatch.setattr(table, "CHUNKS", {"closed loop": 1, "open loop": 0})
+    monkeypatch.setattr(table, "_SLOW_EPISODES", 1)
+    monkeypatch.setattr(table, "_MAX_STEPS", 2)
+    monkeypatch.setattr(table, "_SLOW", MPPIConfig(samples=4, elites=2, horizon=2))
+
+
+def test_a_table_tells_every_mode_and_keeps_what_is_there(quick, data_folder, tmp_path, monkeypatch):
+    first = run_planning_table(data_folder, tmp_path, members=(BASELINE,))
+    (row,) = first["rows"]
+    assert row["row"] == "linear" and row["partial"] and set(row["modes"]) == {"closed loop", "open loop"}
+    assert all(mode["episodes"] == 1 and mode["runs"][0]["steps"] == 2 for mode in row["modes"].values())
+    failed = [Run.load(p) for p in tmp_path.rglob("seed-*.npz")]
+    assert sorted(run.chunk for run in failed) == [0, 1]
+    monkeypatch.setattr(table, "_model", None)  # nothing is to be run
+    assert run_planning_table(data_folder, tmp_path, members=(BASELINE,)) == first
+    json.dumps(first)
+
+
+def test_other_settings_are_another_piece(quick, data_folder, tmp_path, monkeypatch):
+    run_planning_table(data_folder, tmp_path, members=(BASELINE,))
+    monkeypatch.setattr(table, "_MAX_STEPS", 1)
+    (row,) = run_planning_table(data_folder, tmp_path, members=(BASELINE,))["rows"]
+    assert row["modes"]["open loop"]["runs"][0]["steps"] == 1
+
+
+def test_the_simulator_as_a_model_is_the_simulator(sim, random_actions):
+    """A rollout agrees with the twin's own steps, and a planner can begin anywhere."""
+    sim.reset(seed=300_000)
+    model = SimulatorModel(TASK.simulator(), TASK.layout, TASK.name, TASK.goal_size)
+    actions = 0.3 * random_actions(0, 2, 5, 7)
+    start = sim.unwrapped.scene()
+    states = rollout(model, batch_state([start] * 2), torch.as_tensor(actions))
+    assert states.frames.shape == (2, 5, 3, 4, 4, 4) and states.joints.shape == (2, 5, 2, 9)
+    for b in range(2):
+        sim.reset(options={"scene": start})
+        for k in range(5):
+            sim.step(actions[b, k])
+        truth = batch_state([sim.unwrapped.scene()])
+        assert (states[:, -1].poses()[b] - truth.poses()[0]).abs().max() < 1e-3
+        assert (states[:, -1].joints[b] - truth.joints[0]).abs().max() < 1e-3
+
+
+def test_a_partial_view_shows_what_faces_the_camera(sim):
+    sim.reset(seed=300_000)
+    scene = sim.unwrapped.scene()
+    view = PartialView(sim.unwrapped.simulator.meshes(), TASK.layout)
+    seen = view(scene)
+    assert all(e.points == PARTIAL_POINTS for e in seen.layout)
+    np.testing.assert_array_equal(seen.poses, scene.poses)
+    whole = {tuple(p) for p in scene.clouds}
+    assert {tuple(p) for p in seen.clouds} <= whole
+    assert len({tuple(p) for p in seen.clouds}) < len(whole) / 3
+    cube, full = (batch_state([s]).entity("cube")[0] for s in (seen, scene))
+    assert cube[:, 2].mean() > full[:, 2].mean() + 0.003  # the top is seen, the bottom is not
