@@ -196,8 +196,18 @@ def test_demo_draws_both_worlds(tmp_path, capsys):
 
 @pytest.mark.slow
 def test_bench_writes_its_results(tmp_path):
-    args = f"bench --seconds 0.2 --num-envs 1 4 --threads 1 --json {tmp_path}/bench.json"
-    main(args.split())
+    args = "bench --seconds 1 --num-envs 1 4 --samples 4 8 12 --horizons 2 3 --points 300 1200 --planners 1 --threads 1"
+    main([*args.split(), "--json", str(tmp_path / "bench.json"), "--pictures", str(tmp_path)])
     results = json.loads((tmp_path / "bench.json").read_text())
     assert results["simulator_steps_per_second"] > 0
     assert set(results["model_steps_per_second"]) == {"1", "4"}
+    assert set(results["rollout_seconds"]) == {"4 x 2", "8 x 2", "12 x 2", "8 x 3"}
+    assert set(results["plan_seconds"]) == {
+        "4 x 2 x 1200",
+        "8 x 2 x 1200",
+        "12 x 2 x 1200",
+        "8 x 3 x 1200",
+        "8 x 2 x 300",
+    }
+    assert set(results["planners"]) == {"pwm_gym", "pytorch_mppi", "torchrl"}
+    assert (tmp_path / "growth.png").exists()

@@ -5,7 +5,6 @@ from __future__ import annotations
 import resource
 import subprocess
 import sys
-import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,91 +24,87 @@ print(time.perf_counter() - begun, resource.getrusage(resource.RUSAGE_SELF).ru_m
 
 @dataclass(frozen=True)
 class Bench:
-    """Time environments, planning and start-up on this machine."""
+    """Time environments, planning and start-up on this machine, in one process."""
 
     task: str = "PickCube"
     """Registered task."""
-    num_envs: tuple[int, ...] = (1, 16, 256)
+    num_envs: tuple[int, ...] = (1, 16, 256, 1024, 4096)
     """Batch sizes of the model's environment."""
     seconds: float = 5.0
     """How long each is stepped."""
+    samples: tuple[int, ...] = (50, 100, 200, 400, 800)
+    """Action sequences of the rollouts and plans."""
+    horizons: tuple[int, ...] = (10, 20, 30)
+    """Their steps."""
+    points: tuple[int, ...] = (300, 600, 1200)
+    """Points of the scenes that plans are made for."""
+    planners: int = 0
+    """Scenes on which our MPPI is compared with those of pytorch_mppi and TorchRL (the extra "planners")."""
+    pictures: Path | None = None
+    """Folder for a picture of how the times grow."""
     json: Path | None = None
     """Where to write the results."""
     threads: int = 2
     """PyTorch threads."""
 
     def run(self) -> None:
-        """Print the table and write the results."""
-        from pwm_gym.evaluation import write_results
+        """Print the tables and write the results."""
+        from pwm_gym.dynamics import load_checkpoint, resolve
+        from pwm_gym.evaluation import benchmarks, write_results
         from pwm_gym.process import prepare_process
+        from pwm_gym.tasks import get_task
 
         prepare_process(self.threads)
-        results: dict[str, Any] = {"start": _start(self.task)}
-        print(
-            f"gym.make + reset in a fresh process: {results['start']['seconds']:.2f} s, "
-            f"{results['start']['gib']:.2f} GiB"
-        )
-        results["simulator_steps_per_second"] = base = self._simulator()
+        task = get_task(self.task)
+        checkpoint = load_checkpoint(resolve("default", task.name), task.name)
+        model, scene = checkpoint.model, checkpoint.bank.scene(0)
+        results: dict[str, Any] = {"start": _start(task.name)}
+        start = results["start"]
+        print(f"gym.make + reset in a fresh process: {start['seconds']:.2f} s, {start['gib']:.2f} GiB")
+        results["simulator_steps_per_second"] = base = benchmarks.simulator_rate(task, self.seconds)
         print(f"raw simulator env.step: {base:.0f} steps/s")
-        results["model_steps_per_second"] = {n: self._model(n) for n in self.num_envs}
+        results["model_steps_per_second"] = benchmarks.model_rates(task, self.num_envs, self.seconds)
         for count, rate in results["model_steps_per_second"].items():
             print(f"make_vec(num_envs={count}): {rate:.0f} steps/s, {rate / base:.1f} times the simulator's")
-        results["rollout_seconds"] = self._rollout()
-        print(f"rollout of 200 x 10: {results['rollout_seconds']:.3f} s")
+        middle = sorted(self.samples)[len(self.samples) // 2]
+        sizes = [(n, self.horizons[0]) for n in self.samples] + [(middle, h) for h in self.horizons[1:]]
+        results["rollout_seconds"] = benchmarks.rollout_times(model, scene, sizes)
+        plans = [(n, h, task.layout.points) for n, h in sizes]
+        plans += [(middle, self.horizons[0], n) for n in self.points if n != task.layout.points]
+        results["plan_seconds"] = benchmarks.plan_times(model, task, scene, plans)
+        for kind in ("rollout", "plan"):
+            for size, seconds in results[f"{kind}_seconds"].items():
+                print(f"{kind} of {size}: {seconds:.3f} s")
+        if self.planners:
+            scenes = [checkpoint.bank.scene(i) for i in range(self.planners)]
+            results["planners"] = benchmarks.compare_planners(model, task, scenes)
+            for name, row in results["planners"].items():
+                print(f"{name}: {row['seconds']:.3f} s an action, cost at the end {row['final_cost']:.2f}")
         results["peak_gib"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+        print(f"peak memory: {results['peak_gib']:.2f} GiB")
+        if self.pictures is not None:
+            self._draw(self.pictures, results, middle, task.layout.points)
         if self.json is not None:
             write_results(self.json, results)
 
-    def _simulator(self) -> float:
-        """Steps a second of the simulator's own environment under random actions."""
-        import gymnasium as gym
+    def _draw(self, folder: Path, results: dict[str, Any], middle: int, points: int) -> None:
+        """How the times of rollouts and plans grow with each of their sizes."""
+        from pwm_gym.viewer import draw_growth
 
-        import pwm_gym  # noqa: F401  (registers)
-
-        twin: Any = gym.make(f"pwm/{self.task}Sim-v0").unwrapped
-        twin.reset(seed=0)
-        raw = twin.simulator.env
-        rate = self._rate(lambda: raw.step(raw.action_space.sample()), 1)
-        twin.close()
-        return rate
-
-    def _model(self, count: int) -> float:
-        """Environment steps a second of the native batch under random actions."""
-        import gymnasium as gym
-
-        envs = gym.make_vec(f"pwm/{self.task}-v0", num_envs=count)
-        envs.reset(seed=0)
-        rate = self._rate(lambda: envs.step(envs.action_space.sample()), count)
-        envs.close()
-        return rate
-
-    def _rate(self, step: Any, count: int) -> float:
-        """Environment steps a second of ``step``, which makes ``count``."""
-        for _ in range(3):
-            step()
-        begun, steps = time.perf_counter(), 0
-        while time.perf_counter() - begun < self.seconds:
-            step()
-            steps += count
-        return steps / (time.perf_counter() - begun)
-
-    def _rollout(self) -> float:
-        """Median seconds of one rollout of 200 sequences of 10 actions."""
-        import torch
-
-        from pwm_gym.dynamics import load_checkpoint, resolve, rollout
-        from pwm_gym.scene import batch_state
-
-        checkpoint = load_checkpoint(resolve("default", self.task), self.task)
-        state = batch_state([checkpoint.bank.scene(0)] * 200)
-        actions = torch.rand(200, 10, checkpoint.model.action_size) * 2 - 1
-        times = []
-        with torch.no_grad():
-            for _ in range(10):
-                begun = time.perf_counter()
-                rollout(checkpoint.model, state, actions)
-                times.append(time.perf_counter() - begun)
-        return sorted(times)[len(times) // 2]
+        rollouts, plans, first = results["rollout_seconds"], results["plan_seconds"], self.horizons[0]
+        panels: dict[str, dict[str, dict[float, float]]] = {
+            "samples": {
+                "rollout": {n: rollouts[f"{n} x {first}"] for n in self.samples},
+                "plan": {n: plans[f"{n} x {first} x {points}"] for n in self.samples},
+            },
+            "horizon": {
+                "rollout": {h: rollouts[f"{middle} x {h}"] for h in self.horizons},
+                "plan": {h: plans[f"{middle} x {h} x {points}"] for h in self.horizons},
+            },
+            "points of the scene": {"plan": {n: plans[f"{middle} x {first} x {n}"] for n in {*self.points, points}}},
+        }
+        folder.mkdir(parents=True, exist_ok=True)
+        draw_growth(panels, f"{self.task}: time of one rollout, and of one plan's costs").save(folder / "growth.png")
 
 
 def _start(task: str) -> dict[str, float]:

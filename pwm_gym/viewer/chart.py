@@ -11,7 +11,20 @@ from PIL import Image, ImageDraw, ImageFont
 
 from pwm_gym.viewer.palette import PREDICTED, TRUE, Color, tint
 
-__all__ = ["AXIS", "INK", "MUTED", "Chart", "Curve", "dot", "draw_quartiles", "fit", "nice_ticks", "swatch", "text"]
+__all__ = [
+    "AXIS",
+    "INK",
+    "MUTED",
+    "Chart",
+    "Curve",
+    "dot",
+    "draw_growth",
+    "draw_quartiles",
+    "fit",
+    "nice_ticks",
+    "swatch",
+    "text",
+]
 
 INK: Color = (28, 38, 46)
 MUTED: Color = (98, 110, 120)
@@ -100,8 +113,10 @@ class Chart:
         from_zero: bool = False,
         unit: str = "",
         across: str = "step",
+        pitch: float = 1.0,
     ) -> None:
         self.title, self.curves, self.unit, self.across = title, tuple(curves), unit, across
+        self.pitch = pitch  # what one step stands for on the axis
         left, top, right, bottom = box
         self.top, self.edge = top, right
         values = np.concatenate([c.values for c in curves])
@@ -160,7 +175,7 @@ class Chart:
         for tick in _whole_ticks(self.steps):
             column = round(self.x(tick))
             draw.line((column, bottom, column, bottom + 4), fill=MUTED)
-            text(image, (column, bottom + 14), f"{tick:d}", _TICK_SIZE, MUTED, "mm")
+            text(image, (column, bottom + 14), f"{tick * self.pitch:g}", _TICK_SIZE, MUTED, "mm")
         draw.line((left, bottom, right, bottom), fill=MUTED)
         text(image, ((left + right) / 2, bottom + 31), self.across, _TICK_SIZE, MUTED, "mm")
         self._heading(image)
@@ -216,6 +231,35 @@ def draw_quartiles(panels: Mapping[str, np.ndarray], title: str, size: tuple[int
             Curve("median", middle, PREDICTED),
         )
         image = Chart((left, 48, left + width, 48 + height), name, curves, from_zero=True).draw(image)
+    return image
+
+
+def draw_growth(
+    panels: Mapping[str, Mapping[str, Mapping[float, float]]], title: str, size: tuple[int, int] = (400, 300)
+) -> Image.Image:
+    """A picture of charts side by side, each of how quantities grow with a size, straight lines, carried on to zero.
+
+    Args:
+        panels: name of a size -> label of a curve -> size -> seconds.
+        title: over all of them.
+        size: of one chart, pixels.
+    """
+    width, height = size
+    image = Image.new("RGB", (20 + len(panels) * (width + 20), height + 60), (255, 255, 255))
+    text(image, (20, 24), title, 17)
+    for k, (name, curves) in enumerate(panels.items()):
+        left = 20 + k * (width + 20)
+        pitch = min(x for curve in curves.values() for x in curve)
+        lines = []
+        for (label, known), color in zip(curves.items(), (PREDICTED, TRUE, MUTED), strict=False):
+            sizes = np.arange(0.0, max(known) + 0.5 * pitch, pitch)
+            x = np.array(sorted(known))
+            y = np.array([known[k] for k in x])
+            start = y[0] - x[0] * (y[1] - y[0]) / (x[1] - x[0]) if len(x) > 1 else 0.0
+            values = np.interp(sizes, [0.0, *x], [max(start, 0.0), *y])
+            lines.append(Curve(label, values, color))
+        box = (left, 48, left + width, 48 + height)
+        image = Chart(box, "seconds", lines, from_zero=True, across=name, pitch=pitch).draw(image)
     return image
 
 

@@ -28,7 +28,7 @@ def steer(planner, flat, scene, steps=4):
         action = planner(state)
         assert action.shape == (7,) and action.abs().max() <= 1
         state = flat.step(state, action)
-    return flat._states(state).entity("hand")[0, :, 2].mean()
+    return flat.state(state).entity("hand")[0, :, 2].mean()
 
 
 def high(points, info):
@@ -46,7 +46,7 @@ def test_vectors_step_and_cost_as_states_do(flat, env, scene, random_actions):
         vectors = flat.vector(scene).expand(3, -1)
         for k in range(4):
             vectors = flat.step(vectors, actions[:, k])
-        torch.testing.assert_close(flat._states(vectors).poses(), expected[:, -1].poses())
+        torch.testing.assert_close(flat.state(vectors).poses(), expected[:, -1].poses())
         torch.testing.assert_close(flat.cost(vectors, actions[:, -1]), costs)
         assert flat.cost(vectors.view(3, 1, -1), actions[:, -1:]).shape == (3, 1)
 

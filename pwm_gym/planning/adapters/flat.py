@@ -50,20 +50,20 @@ class FlatModel:
 
     def step(self, states: Tensor, actions: Tensor) -> Tensor:
         """States (..., X) one control step after actions (..., A)."""
-        moved = self.model.step(self._states(states), actions.reshape(-1, self.action_size))
+        moved = self.model.step(self.state(states), actions.reshape(-1, self.action_size))
         return self._vectors(moved).view_as(states)
 
     def cost(self, states: Tensor, actions: Tensor) -> Tensor:
         """Cost (...) of states (..., X) after actions (..., A)."""
         flat = actions.reshape(-1, self.action_size)
-        points, info = cost_info(self._states(states), flat, self._goal.expand(len(flat), -1), self._grasp)
+        points, info = cost_info(self.state(states), flat, self._goal.expand(len(flat), -1), self._grasp)
         return self._cost(points, info).view(states.shape[:-1])
 
     def _prepared(self, scene: Scene) -> State:
         state = self.model.prepare(batch_state([scene], self._device))
         return replace(state, error=None) if isinstance(state, RigidState) else state
 
-    def _states(self, vectors: Tensor) -> State:
+    def state(self, vectors: Tensor) -> State:
         """State (B,) of vectors (..., X)."""
         flat = vectors.reshape(-1, self.size)
         pieces = flat.split([s.numel() for s in self._shapes], -1)

@@ -1,0 +1,159 @@
+"""Speed: environments against the simulator, rollouts and plans over their sizes, planners of other libraries."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import torch
+from gymnasium.utils.performance import benchmark_step, benchmark_vector_step
+
+from pwm_gym.costs import get_cost, get_grasp
+from pwm_gym.dynamics import WorldModel, rollout
+from pwm_gym.planning import MPPIConfig, RolloutObjective, build_planner
+from pwm_gym.planning.adapters import FlatModel
+from pwm_gym.scene import Scene, batch_state
+from pwm_gym.tasks import Task
+
+__all__ = ["compare_planners", "model_rates", "plan_times", "rollout_times", "simulator_rate"]
+
+_SPREAD = (0.3, 0.3, 0.3, 1e-3, 1e-3, 0.3, 0.7)  # our planner's noise; pytorch_mppi's may not be 0
+
+
+def simulator_rate(task: Task, seconds: float) -> float:
+    """Steps a second of the simulator's own environment under random actions (Gymnasium's benchmark)."""
+    twin: Any = gym.make(f"pwm/{task.name}Sim-v0").unwrapped
+    rate = benchmark_step(twin.simulator.env, target_duration=seconds, seed=0)  # type: ignore[arg-type]
+    twin.close()
+    return rate
+
+
+def model_rates(task: Task, counts: Sequence[int], seconds: float) -> dict[int, float]:
+    """Environment steps a second of the native batch, by number of environments (Gymnasium's benchmark)."""
+    rates = {}
+    for count in counts:
+        envs = gym.make_vec(f"pwm/{task.name}-v0", num_envs=count)
+        rates[count] = benchmark_vector_step(envs, target_duration=seconds, seed=0)  # type: ignore[arg-type]
+        envs.close()
+    return rates
+
+
+def rollout_times(
+    model: WorldModel, scene: Scene, sizes: Sequence[tuple[int, int]], repeats: int = 9
+) -> dict[str, float]:
+    """Median seconds of one batched rollout, by "samples x horizon"."""
+    times = {}
+    for samples, horizon in sizes:
+        state = batch_state([scene] * samples)
+        actions = _actions(samples, horizon, model.action_size)
+        with torch.inference_mode():
+            times[f"{samples} x {horizon}"] = _median(partial(rollout, model, state, actions), repeats)
+    return times
+
+
+def plan_times(
+    model: WorldModel, task: Task, scene: Scene, sizes: Sequence[tuple[int, int, int]], repeats: int = 9
+) -> dict[str, float]:
+    """Median seconds of the cost of action sequences, by "samples x horizon x points" (of the scene in all)."""
+    times = {}
+    for samples, horizon, points in sizes:
+        coarse = scene.coarsen(task.layout.resize(points))
+        objective = RolloutObjective(model, get_cost(task.plan_cost), get_grasp(task.grasp))
+        objective.begin(batch_state([coarse]), torch.as_tensor(scene.goal)[None])
+        actions = _actions(samples, horizon, model.action_size)[None]
+        times[f"{samples} x {horizon} x {points}"] = _median(partial(objective, actions), repeats)
+    return times
+
+
+def compare_planners(
+    model: WorldModel, task: Task, scenes: Sequence[Scene], steps: int = 20, samples: int = 100, horizon: int = 10
+) -> dict[str, dict[str, float]]:
+    """Our MPPI, ``pytorch_mppi``'s and TorchRL's, each with our model and cost inside, in the model itself.
+
+    Args:
+        model: to plan with, and in.
+        task: of the scenes.
+        scenes: that the episodes begin with.
+        steps: actions of an episode.
+        samples: action sequences of each plan.
+        horizon: of each plan.
+
+    Returns:
+        For each planner the median seconds of an action, and the planning cost of the state after ``steps`` actions,
+        mean over the scenes.
+    """
+    makers: dict[str, Callable[[FlatModel, Scene], Callable[[torch.Tensor], torch.Tensor]]] = {
+        "pwm_gym": lambda flat, scene: _ours(flat, scene, model, task, samples, horizon),
+        "pytorch_mppi": lambda flat, scene: _pytorch_mppi(flat, samples, horizon),
+        "torchrl": lambda flat, scene: _torchrl(flat, scene, samples, horizon),
+    }
+    table = {}
+    for name, make in makers.items():
+        seconds, costs = [], []
+        for seed, scene in enumerate(scenes):
+            torch.manual_seed(seed)
+            flat = FlatModel(model, scene)
+            act, state = make(flat, scene), flat.vector(scene)
+            with torch.no_grad():
+                for _ in range(steps):
+                    begun = time.perf_counter()
+                    action = act(state).clamp(-1.0, 1.0)
+                    seconds.append(time.perf_counter() - begun)
+                    state = flat.step(state, action)
+                costs.append(float(flat.cost(state, action)))
+        table[name] = {"seconds": float(np.median(seconds)), "final_cost": float(np.mean(costs))}
+    return table
+
+
+def _ours(
+    flat: FlatModel, scene: Scene, model: WorldModel, task: Task, samples: int, horizon: int
+) -> Callable[[torch.Tensor], torch.Tensor]:
+    config = MPPIConfig(samples=samples, horizon=horizon, elites=max(1, round(0.32 * samples)))
+    planner, generator = build_planner(config, task.action_size), torch.Generator().manual_seed(0)
+    objective = RolloutObjective(model, get_cost(task.plan_cost), get_grasp(task.grasp))
+    goal = torch.as_tensor(scene.goal)[None]
+
+    def act(state: torch.Tensor) -> torch.Tensor:
+        return planner.plan(objective.begin(flat.state(state), goal), generator)[0, 0]
+
+    return act
+
+
+def _pytorch_mppi(flat: FlatModel, samples: int, horizon: int) -> Callable[[torch.Tensor], torch.Tensor]:
+    from pwm_gym.planning.adapters.pytorch_mppi import pytorch_mppi
+
+    act: Callable[[torch.Tensor], torch.Tensor] = pytorch_mppi(flat, _SPREAD, samples, horizon).command
+    return act
+
+
+def _torchrl(flat: FlatModel, scene: Scene, samples: int, horizon: int) -> Callable[[torch.Tensor], torch.Tensor]:
+    from tensordict import TensorDict
+
+    from pwm_gym.planning.adapters.torchrl import TorchRLEnv, torchrl_mppi
+
+    planner = torchrl_mppi(TorchRLEnv(flat, flat.vector(scene)), samples, max(1, round(0.32 * samples)), horizon)
+
+    def act(state: torch.Tensor) -> torch.Tensor:
+        action: torch.Tensor = planner(TensorDict({"state": state}, []))["action"]
+        return action
+
+    return act
+
+
+def _actions(samples: int, horizon: int, size: int) -> torch.Tensor:
+    return torch.rand(samples, horizon, size, generator=torch.Generator().manual_seed(0)) * 2 - 1
+
+
+def _median(run: Callable[[], Any], repeats: int) -> float:
+    """Median seconds of a call, after one that is not counted."""
+    run()
+    times = []
+    for _ in range(repeats):
+        begun = time.perf_counter()
+        run()
+        times.append(time.perf_counter() - begun)
+    return float(np.median(times))
