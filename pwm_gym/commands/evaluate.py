@@ -39,7 +39,7 @@ class Evaluate:
     pictures: Path | None = None
     """Folder for pictures (PNG): expected against real errors, and the errors of the long rollouts over time."""
     table: str | None = None
-    """rollout, baselines, register, horizon, data, head, arm or planning."""
+    """rollout, baselines, register, horizon, data, head, arm, budget or planning."""
     full: bool = False
     """Table of planning: whether the fast models plan 100 episodes instead of 20."""
     out: Path = Path("runs/tables")
