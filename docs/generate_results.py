@@ -47,7 +47,17 @@ _LIMITS = """## What these figures do not show
 
 def page() -> str:
     """The whole page."""
-    parts = [_INTRO, _rollouts(), _long(), _calibration(), _planning(), *_tables(), _speed(), _LIMITS]
+    parts = [
+        _INTRO,
+        _rollouts(),
+        _long(),
+        _calibration(),
+        _planning(),
+        _planning_table(),
+        *_tables(),
+        _speed(),
+        _LIMITS,
+    ]
     return "\n".join(part.rstrip() + "\n" for part in parts if part)
 
 
@@ -147,21 +157,56 @@ def _calibration() -> str:
     return f"## Does the model know how far off it is?\n\n{about}\n{table}\n{picture}\n"
 
 
+_RUNS = {
+    "closed loop": "plan_pick_cube",
+    "chunks of 20": "plan_pick_cube_chunk20",
+    "open loop": "plan_pick_cube_open_loop",
+}
+
+
 def _planning() -> str:
-    result = _read("plan_pick_cube")
+    found = {mode: result for mode, name in _RUNS.items() if (result := _read(name)) is not None}
+    if not found:
+        return ""
+    rows = [[mode, *_success(result)] for mode, result in found.items()]
+    commands = "\n".join(result["command"] for result in found.values())
+    links = ", ".join(f"[`{_RUNS[m]}.json`](../benchmarks/results/{_RUNS[m]}.json)" for m in found)
+    first = next(iter(found.values()))
+    about = _paragraph(
+        f"MPPI in the shipped model ({first['settings']['samples']} samples, horizon {first['settings']['horizon']}),",
+        "executed in the simulator. In closed loop the planner looks at every step, in open loop at the first scene alone.",
+    )
+    where = f"{links}; {first['machine']['cores']} CPU cores, commit {first['commit']}.\n"
+    return f"## Planning\n\n```\n{commands}\n```\n\n{where}\n{about}\n{_grid(_HEAD, rows)}"
+
+
+_HEAD = ["", "successes", "95 % interval", "mean steps of successes", "seconds an action, median"]
+
+
+def _success(result: dict[str, Any]) -> list[str]:
+    low, high = result["interval"]
+    return [
+        f"{result['successes']} / {result['episodes']}",
+        f"{low:.0%} to {high:.0%}",
+        _number(result["mean_steps_of_successes"], 0),
+        f"{result['plan_seconds']['median']:.2f}",
+    ]
+
+
+def _planning_table() -> str:
+    result = _read("table_planning")
     if result is None:
         return ""
-    low, high = result["interval"]
-    about = _paragraph(
-        f"MPPI in the model, executed in the simulator: {result['successes']} of {result['episodes']} episodes succeed",
-        f"(95 % interval {low:.0%} to {high:.0%}), after {result['mean_steps_of_successes']:.0f} steps on average; one",
-        f"action takes {result['plan_seconds']['median']:.2f} s in the median.",
-    )
-    return f"## Planning\n\n{_source('plan_pick_cube', result)}\n{about}"
+    rows = []
+    for row in result["rows"]:
+        name = f"{row['row']}{', partial clouds' if row['partial'] else ''}, {row['samples']} samples"
+        rows += [[name, mode, *_success(outcome)] for mode, outcome in row["modes"].items()]
+    return f"## {result['caption']}\n\n{_source('table_planning', result)}\n{_grid(['model', *_HEAD], rows)}"
 
 
 def _tables() -> list[str]:
-    return [_table(path.stem) for path in sorted(RESULTS.glob("table_*.json"))]
+    names = (path.stem for path in sorted(RESULTS.glob("table_*.json")))
+    return [_table(name) for name in names if name != "table_planning"]
 
 
 def _table(name: str) -> str:
@@ -198,12 +243,17 @@ def _speed() -> str:
         return ""
     rows = [["raw simulator, steps a second", f"{result['simulator_steps_per_second']:,.0f}"]]
     for count, rate in result["model_steps_per_second"].items():
-        rows.append([f"`make_vec(num_envs={count})`, environment steps a second", f"{rate:,.0f}"])
+        times = f"{rate:,.0f} ({rate / result['simulator_steps_per_second']:.1f} x)"
+        rows.append([f"`make_vec(num_envs={count})`, environment steps a second", times])
+    for kind, about in (("rollout", "samples x horizon"), ("plan", "samples x horizon x points of the scene")):
+        for size, seconds in result[f"{kind}_seconds"].items():
+            rows.append([f"one {kind} of {size} ({about}), seconds", f"{seconds:.3f}"])
+    for name, row in result.get("planners", {}).items():
+        label = f"MPPI of `{name}` with our model, seconds an action; planning cost at the end"
+        rows.append([label, f"{row['seconds']:.3f}; {row['final_cost']:.2f}"])
     start = result["start"]
-    rows += [
-        ["a rollout of 200 x 10, seconds", f"{result['rollout_seconds']:.2f}"],
-        ["`gym.make` and `reset` in a fresh process", f"{start['seconds']:.1f} s, {start['gib']:.2f} GiB"],
-    ]
+    rows.append(["`gym.make` and `reset` in a fresh process", f"{start['seconds']:.1f} s, {start['gib']:.2f} GiB"])
+    rows.append(["peak memory of all this, GiB", f"{result['peak_gib']:.2f}"])
     return f"## Speed\n\n{_source('bench_pick_cube', result)}\n{_grid(['what', 'measured'], rows)}"
 
 

@@ -75,6 +75,11 @@ class Bench:
         for kind in ("rollout", "plan"):
             for size, seconds in results[f"{kind}_seconds"].items():
                 print(f"{kind} of {size}: {seconds:.3f} s")
+        floor = results["floor"] = benchmarks.rollout_floor(model, scene, middle, self.horizons[0])
+        print(
+            f"of {middle} x {self.horizons[0]}: products {floor['product_seconds']:.3f} s, memory "
+            f"{floor['memory_seconds']:.3f} s, {floor['operations']:.0f} operations {floor['overhead_seconds']:.3f} s"
+        )
         if self.planners:
             scenes = [checkpoint.bank.scene(i) for i in range(self.planners)]
             results["planners"] = benchmarks.compare_planners(model, task, scenes)

@@ -1,8 +1,8 @@
 """Metrics, tables and floors. They receive models, data sets, environments or simulators as arguments."""
 
+from pwm_gym.evaluation.members import run_planning_table
 from pwm_gym.evaluation.metrics import chamfer, pearson
 from pwm_gym.evaluation.planning import planning_table, run_episodes, wilson
-from pwm_gym.evaluation.planning_table import run_planning_table
 from pwm_gym.evaluation.record import write_results
 from pwm_gym.evaluation.report import evaluate_rollouts
 from pwm_gym.evaluation.rollouts import long_rollouts, predict, validation_metrics

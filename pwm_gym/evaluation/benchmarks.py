@@ -11,6 +11,9 @@ import gymnasium as gym
 import numpy as np
 import torch
 from gymnasium.utils.performance import benchmark_step, benchmark_vector_step
+from torch.utils._python_dispatch import TorchDispatchMode
+from torch.utils._pytree import tree_leaves
+from torch.utils.flop_counter import FlopCounterMode
 
 from pwm_gym.costs import get_cost, get_grasp
 from pwm_gym.dynamics import WorldModel, rollout
@@ -19,7 +22,7 @@ from pwm_gym.planning.adapters import FlatModel
 from pwm_gym.scene import Scene, batch_state
 from pwm_gym.tasks import Task
 
-__all__ = ["compare_planners", "model_rates", "plan_times", "rollout_times", "simulator_rate"]
+__all__ = ["compare_planners", "model_rates", "plan_times", "rollout_floor", "rollout_times", "simulator_rate"]
 
 _SPREAD = (0.3, 0.3, 0.3, 1e-3, 1e-3, 0.3, 0.7)  # our planner's noise; pytorch_mppi's may not be 0
 
@@ -67,6 +70,49 @@ def plan_times(
         actions = _actions(samples, horizon, model.action_size)[None]
         times[f"{samples} x {horizon} x {points}"] = _median(partial(objective, actions), repeats)
     return times
+
+
+def rollout_floor(model: WorldModel, scene: Scene, samples: int, horizon: int) -> dict[str, float]:
+    """What a rollout must take on this machine, by its products, its memory traffic and its operations' overhead.
+
+    Returns:
+        "flop" of all products, "bytes" that its operations read and write, and the number of "operations"; the
+        machine's measured "flop_per_second" (products as large as the model's), "bytes_per_second" (sums of values that no
+        cache holds) and "operations_per_second" (of one value); and what these ask for: "product_seconds",
+        "memory_seconds", "overhead_seconds".
+    """
+    state, actions = batch_state([scene] * samples), _actions(samples, horizon, model.action_size)
+    with torch.no_grad(), FlopCounterMode(display=False) as flop, _Traffic() as traffic:
+        rollout(model, state, actions)
+    left, right = torch.rand(8 * samples, 96), torch.rand(96, 192)
+    large, small = torch.rand(1 << 26), torch.rand(1)
+    measured: dict[str, float] = {
+        "flop": float(flop.get_total_flops()),
+        "bytes": float(traffic.bytes),
+        "operations": float(traffic.operations),
+        "flop_per_second": 2.0 * left.numel() * right.shape[1] / _median(partial(torch.mm, left, right), 50),
+        "bytes_per_second": large.numel() * 4 / _median(large.sum, 9),
+        "operations_per_second": 1.0 / _median(partial(torch.add, small, small), 1000),
+    }
+    for name, kind in (("product", "flop"), ("memory", "bytes"), ("overhead", "operations")):
+        measured[f"{name}_seconds"] = measured[kind] / measured[f"{kind}_per_second"]
+    return measured
+
+
+class _Traffic(TorchDispatchMode):
+    """Counts operations that are no views, and the bytes of their arguments and results."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.operations, self.bytes = 0, 0
+
+    def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        result = func(*args, **(kwargs or {}))
+        if not func.is_view:
+            self.operations += 1
+            tensors = (x for x in tree_leaves((args, kwargs, result)) if isinstance(x, torch.Tensor))
+            self.bytes += sum(x.numel() * x.element_size() for x in tensors)
+        return result
 
 
 def compare_planners(

@@ -6,8 +6,8 @@ import torch
 
 from pwm_gym.data.partial import PARTIAL_POINTS, PartialView
 from pwm_gym.dynamics import rollout
-from pwm_gym.evaluation import planning_table as table
-from pwm_gym.evaluation.planning_table import Member, run_planning_table
+from pwm_gym.evaluation import members as table
+from pwm_gym.evaluation.members import Member, run_planning_table
 from pwm_gym.planning import MPPIConfig, Run
 from pwm_gym.scene import batch_state
 from pwm_gym.sim.model import SimulatorModel
