@@ -174,7 +174,8 @@ def _planning() -> str:
     first = next(iter(found.values()))
     about = _paragraph(
         f"MPPI in the shipped model ({first['settings']['samples']} samples, horizon {first['settings']['horizon']}),",
-        "executed in the simulator. In closed loop the planner looks at every step, in open loop at the first scene alone.",
+        "executed in the simulator. In closed loop the planner looks at every step, in open loop at the first scene",
+        "alone.",
     )
     where = f"{links}; {first['machine']['cores']} CPU cores, commit {first['commit']}.\n"
     return f"## Planning\n\n```\n{commands}\n```\n\n{where}\n{about}\n{_grid(_HEAD, rows)}"

@@ -76,9 +76,9 @@ def rollout_floor(model: WorldModel, scene: Scene, samples: int, horizon: int) -
     """What a rollout must take on this machine, by its products, its memory traffic and its operations' overhead.
 
     Returns:
-        "flop" of all products, "bytes" that its operations read and write, and the number of "operations"; the
-        machine's measured "flop_per_second" (products as large as the model's), "bytes_per_second" (sums of values that no
-        cache holds) and "operations_per_second" (of one value); and what these ask for: "product_seconds",
+        Of the rollout: "flop" of all products, "bytes" that its operations read and write, number of "operations". Of
+        the machine, measured: "flop_per_second" (products as large as the model's), "bytes_per_second" (sums of values
+        that no cache holds), "operations_per_second" (of one value). What they ask for together: "product_seconds",
         "memory_seconds", "overhead_seconds".
     """
     state, actions = batch_state([scene] * samples), _actions(samples, horizon, model.action_size)
