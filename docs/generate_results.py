@@ -177,7 +177,8 @@ def _planning() -> str:
         "executed in the simulator. In closed loop the planner looks at every step, in open loop at the first scene",
         "alone.",
     )
-    where = f"{links}; {first['machine']['cores']} CPU cores, commit {first['commit']}.\n"
+    commits = ", ".join(sorted({result["commit"] for result in found.values()}))
+    where = f"{links}; {first['machine']['cores']} CPU cores, commit {commits}.\n"
     return f"## Planning\n\n```\n{commands}\n```\n\n{where}\n{about}\n{_grid(_HEAD, rows)}"
 
 
@@ -202,7 +203,9 @@ def _planning_table() -> str:
     for row in result["rows"]:
         name = f"{row['row']}{', partial clouds' if row['partial'] else ''}, {row['samples']} samples"
         rows += [[name, mode, *_success(outcome)] for mode, outcome in row["modes"].items()]
-    return f"## {result['caption']}\n\n{_source('table_planning', result)}\n{_grid(['model', *_HEAD], rows)}"
+    commits = sorted({str(mode["commit"]) for row in result["rows"] for mode in row["modes"].values()})
+    source = _source("table_planning", {**result, "commit": ", ".join(commits)})
+    return f"## {result['caption']}\n\n{source}\n{_grid(['model', *_HEAD], rows)}"
 
 
 def _tables() -> list[str]:

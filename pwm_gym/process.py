@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import platform
 
 import torch
 
@@ -24,7 +25,7 @@ def prepare_process(threads: int = 2) -> None:
             operation all of them wait for the slowest.
     """
     torch.set_num_threads(threads)
-    mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
-    if mallopt is not None:
-        mallopt(_MMAP_THRESHOLD, _LARGEST_MMAP)
-        mallopt(_TRIM_THRESHOLD, _LARGEST_TRIM)
+    if platform.libc_ver()[0] == "glibc":
+        library = ctypes.CDLL(None)
+        library.mallopt(_MMAP_THRESHOLD, _LARGEST_MMAP)
+        library.mallopt(_TRIM_THRESHOLD, _LARGEST_TRIM)

@@ -145,18 +145,20 @@ class PartialView:
         points: int = PARTIAL_POINTS,
         seed: int = 0,
     ) -> None:
-        self._caster, self._camera, self._points = RayCaster(meshes, layout), camera, points
-        self._generator = torch.Generator().manual_seed(seed)
+        self._caster, self._camera, self._points, self._seed = RayCaster(meshes, layout), camera, points, seed
 
     def __call__(self, scene: Scene) -> Scene:
-        """The scene with points that the camera sees; an entity that it does not see keeps points of all sides."""
+        """The scene with points that the camera sees, the same for an equal scene.
+
+        An entity that it does not see keeps points of all sides.
+        """
         poses = matrix_from_pose7(torch.as_tensor(scene.poses[0], dtype=torch.float64))
         clouds = torch.as_tensor(scene.clouds)
         placed = _posed(clouds[None].double(), scene.layout, poses[None])[0]
         seen = torch.as_tensor(self._caster.visible(self._camera, placed.numpy(), poses.numpy()))
-        layout = scene.layout.truncate(self._points)
+        layout, generator = scene.layout.truncate(self._points), torch.Generator().manual_seed(self._seed)
         parts = [
-            clouds[full.start + choose_visible(seen[None, full.slice], e.points, self._generator)[0]]
+            clouds[full.start + choose_visible(seen[None, full.slice], e.points, generator)[0]]
             for full, e in zip(scene.layout, layout, strict=True)
         ]
         return replace(scene, layout=layout, clouds=torch.cat(parts).numpy())

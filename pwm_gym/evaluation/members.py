@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
+import torch
 
 from pwm_gym.data import Windows, load_split
 from pwm_gym.data.episodes import write_atomically
@@ -17,7 +18,7 @@ from pwm_gym.data.partial import PartialView
 from pwm_gym.dynamics import WorldModel, build_model, load_checkpoint, resolve
 from pwm_gym.evaluation.planning import planning_table, run_episodes
 from pwm_gym.evaluation.record import describe_commit
-from pwm_gym.evaluation.tables import trained
+from pwm_gym.evaluation.tables import row_folder, trained
 from pwm_gym.planning import Agent, MPPIConfig
 from pwm_gym.scene import Scene
 from pwm_gym.seeds import seed_range
@@ -73,18 +74,19 @@ def run_planning_table(
         full: whether the fast members plan 100 episodes instead of 20.
         members: rows.
     """
-    rows = []
+    rows, commit = [], describe_commit()  # of the code that is loaded, which may change on disk meanwhile
     for member in members:
         model: WorldModel | None = None
         modes = {}
         for mode, chunk in CHUNKS.items():
             episodes = _SLOW_EPISODES if member.slow else _FULL_EPISODES if full else _EPISODES
             config = _SLOW if member.slow else MPPIConfig()
-            path = _path(out, task, member, chunk, episodes, config)
+            path = _path(out, task, member, data, chunk, episodes, config)
             if not path.exists():
                 model = model or _model(member, data, out, get_task(task))
                 result = _plan(model, member, get_task(task), config, chunk, episodes, path.with_suffix(""))
-                write_atomically(path, json.dumps(result, default=float).encode())
+                facts = {"commit": commit, "threads": torch.get_num_threads(), **result}
+                write_atomically(path, json.dumps(facts, default=float).encode())
             modes[mode] = json.loads(path.read_text())
         rows.append({"row": member.name, "partial": member.partial, "samples": config.samples, "modes": modes})
     return {
@@ -94,9 +96,15 @@ def run_planning_table(
     }
 
 
-def _path(out: Path, task: str, member: Member, chunk: int, episodes: int, config: MPPIConfig) -> Path:
+def _path(out: Path, task: str, member: Member, data: Path, chunk: int, episodes: int, config: MPPIConfig) -> Path:
     """File of one member's result in one mode, named after all that decides it."""
-    recipe = repr((task, member, chunk, episodes, config, _MAX_STEPS))
+    source = str(data)
+    if member.kind == "checkpoint":
+        weights = resolve(member.source, task) / "model.safetensors"
+        source = hashlib.sha256(weights.read_bytes()).hexdigest()
+    if member.kind == "row":
+        source = row_folder("rollout", member.source, data, out, task).name
+    recipe = repr((task, member, source, chunk, episodes, config, _MAX_STEPS))
     return out / f"planning-{hashlib.sha256(recipe.encode()).hexdigest()[:12]}.json"
 
 
@@ -105,7 +113,10 @@ def _model(member: Member, data: Path, out: Path, task: Task) -> WorldModel:
     if member.kind == "checkpoint":
         return load_checkpoint(resolve(member.source, task.name), task.name).model
     if member.kind == "row":
-        return load_checkpoint(trained("rollout", member.source, data, out, task.name), task.name).model
+        threads = torch.get_num_threads()
+        folder = trained("rollout", member.source, data, out, task.name)
+        torch.set_num_threads(threads)  # a training sets its own
+        return load_checkpoint(folder, task.name).model
     if member.kind == "simulator":
         return SimulatorModel(task.simulator(), task.layout, task.name, task.goal_size)
     model: Any = build_model(member.source, task.layout, task.action_size, task.control)
@@ -131,4 +142,4 @@ def _plan(
         if not run.success:
             folder.mkdir(parents=True, exist_ok=True)
             run.save(folder / f"seed-{run.seed}.npz")
-    return {"commit": describe_commit(), **planning_table(runs)}
+    return planning_table(runs)

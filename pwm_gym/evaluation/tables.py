@@ -32,7 +32,7 @@ from pwm_gym.process import prepare_process
 from pwm_gym.seeds import seed_range
 from pwm_gym.tasks import Task, get_task
 
-__all__ = ["TABLES", "Row", "Table", "run_table", "trained"]
+__all__ = ["TABLES", "Row", "Table", "row_folder", "run_table", "trained"]
 
 _ABLATION = 500_000  # sample-steps: about ten minutes of the default model on one core
 _HEADLINE = 50_000  # twenty minutes to an hour of a network of points on one core
@@ -169,7 +169,7 @@ def run_table(name: str, data: Path, out: Path, task: str = "PickCube", workers:
         UnknownNameError: no table has this name.
     """
     if name not in TABLES:
-        raise unknown_name("table", name, TABLES)
+        raise unknown_name("table", name, (*TABLES, "planning"))
     table = TABLES[name]
     commit = describe_commit()  # of the code that is loaded, which may change on disk meanwhile
     pieces = [_Piece(row, seed, data, out, task, commit) for row in table.rows for seed in row.seeds]
@@ -237,6 +237,12 @@ def trained(table: str, row: str, data: Path, out: Path, task: str) -> Path:
     """
     found = next(r for r in TABLES[table].rows if r.name == row)
     return _fit(_Piece(found, found.seeds[0], data, out, task, describe_commit()))
+
+
+def row_folder(table: str, row: str, data: Path, out: Path, task: str) -> Path:
+    """Folder of a table's row (its first seed), named after all that decides it. Arguments as of :func:`trained`."""
+    found = next(r for r in TABLES[table].rows if r.name == row)
+    return _Piece(found, found.seeds[0], data, out, task, None).folder
 
 
 def _fit(piece: _Piece) -> Path:

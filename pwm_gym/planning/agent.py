@@ -55,6 +55,7 @@ class Agent:
         self._generator = torch.Generator(device).manual_seed(seed)
         self._state: State | None = None
         self._goal = torch.empty(0)
+        self._one = True  # whether it looked at one scene, not at a sequence of them
 
     def reset(self, seed: int) -> None:
         """Forget the last plan and the last scene, and reseed the noise."""
@@ -64,6 +65,7 @@ class Agent:
 
     def look(self, scene: Scene | Sequence[Scene]) -> None:
         """Go on from a scene, or from several at once."""
+        self._one = isinstance(scene, Scene)
         scenes = [scene] if isinstance(scene, Scene) else list(scene)
         self._state = self.model.prepare(batch_state(scenes, self.device))
         goals = np.stack([s.goal for s in scenes])
@@ -82,17 +84,17 @@ class Agent:
             self.look(scene)
         objective = self.objective.begin(self._present(), self._goal)
         plans = self.planner.plan(objective, self._generator, len(self._goal)).cpu().numpy()
-        return plans if scene is not None and not isinstance(scene, Scene) else plans[0]
+        return plans[0].copy() if self._one else plans.copy()  # the planner keeps its own
 
-    def act(self, scene: Scene | None = None) -> np.ndarray:
-        """First action (A,) of :meth:`plan`."""
-        return self.plan(scene)[0]
+    def act(self, scene: Scene | Sequence[Scene] | None = None) -> np.ndarray:
+        """First action (A,) of :meth:`plan`, or first actions (B, A)."""
+        return self.plan(scene)[..., 0, :]
 
     @torch.no_grad()
     def advance(self, action: np.ndarray) -> State:
-        """Take the model's prediction (1,) of an action (A,) for the present state."""
+        """Take the model's prediction (B,) of an action (A,), or of actions (B, A), for the present state."""
         command = torch.as_tensor(action, dtype=torch.float32, device=self.device)
-        self._state = self.model.step(self._present(), command[None])
+        self._state = self.model.step(self._present(), command[None] if self._one else command)
         return self._state
 
     @torch.no_grad()

@@ -41,8 +41,10 @@ def execute(
         observe: what the agent sees of a scene; None shows all of it.
 
     Raises:
-        PwmGymError: a negative chunk.
+        PwmGymError: a negative chunk, or no steps.
     """
+    if max_steps < 1:
+        raise PwmGymError(f"max_steps={max_steps}; expected at least 1")
     if chunk < 0:
         raise PwmGymError(f"chunk={chunk}; expected 0 (open loop) or more")
     base: Any = env.unwrapped

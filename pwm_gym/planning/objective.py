@@ -77,7 +77,7 @@ class RolloutObjective:
         goal = _repeat(self._goal, samples * horizon)
         points, info = cost_info(flat, actions.reshape(-1, size), goal, self.grasp)
         costs = self.cost(points, info)
-        if isinstance(flat, RigidState) and flat.error is not None:
+        if self.caution and isinstance(flat, RigidState) and flat.error is not None:
             costs = costs + self.caution * flat.error.sum(-1)
         costs = costs.view(batch, samples, horizon)
         return costs.sum(-1) + self.terminal * costs[..., -1]

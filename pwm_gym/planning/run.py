@@ -73,6 +73,9 @@ class Run:
         for name, shape in shapes.items():
             if np.shape(getattr(self, name)) != shape:
                 raise PwmGymError(f"run.{name} has shape {np.shape(getattr(self, name))}; expected {shape}")
+        if self.terms.keys() != self.predicted_terms.keys():
+            told = ", ".join(sorted(self.terms.keys() ^ self.predicted_terms.keys()))
+            raise PwmGymError(f"run has cost term {told} of real or of predicted states alone")
         for name, values in (*self.terms.items(), *self.predicted_terms.items()):
             if np.shape(values) != (steps,):
                 raise PwmGymError(f"run's cost term {name!r} has shape {np.shape(values)}; expected {(steps,)}")
@@ -90,14 +93,16 @@ class Run:
             "schema": 1,
             "task": self.start.task,
             "layout": self.start.layout.to_json(),
-            **{name: getattr(self, name) for name in _FACTS},
+            "seed": int(self.seed),
+            "chunk": int(self.chunk),
+            "success": bool(self.success),
+            "at_reset": bool(self.at_reset),
             "settings": self.settings,
             "terms": list(self.terms),
         }
         arrays: dict[str, Any] = {name: getattr(self, name) for name in _ARRAYS}
-        arrays["terms"] = (
-            np.stack([*self.terms.values(), *self.predicted_terms.values()]) if self.terms else np.empty(0)
-        )
+        both = [source[name] for source in (self.terms, self.predicted_terms) for name in self.terms]
+        arrays["terms"] = np.stack(both) if both else np.empty(0)
         buffer = io.BytesIO()
         np.savez_compressed(buffer, header=np.array(json.dumps(header)), **arrays, **start)
         Path(path).write_bytes(buffer.getvalue())
@@ -116,15 +121,21 @@ class Run:
                     raise PwmGymError(f"{path} has format {header.get('format')!r}; expected 'pwm_gym.run'")
                 arrays = {name: file[name] for name in _ARRAYS}
                 start = {k.removeprefix(_START): file[k] for k in file.files if k.startswith(_START)}
-                values = dict(enumerate(file["terms"]))
-        except (KeyError, TypeError, ValueError, OSError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+                values, names = file["terms"], header["terms"]
+                facts = {name: header[name] for name in (*_FACTS, "settings")}
+                scene = Scene(task=header["task"], layout=Layout.from_json(header["layout"]), **start)
+                terms, predicted = (
+                    {name: values[i] for i, name in enumerate(names, first)} for first in (0, len(names))
+                )
+        except (
+            KeyError,
+            IndexError,
+            TypeError,
+            ValueError,
+            OSError,
+            EOFError,
+            zipfile.BadZipFile,
+            zlib.error,
+        ) as error:
             raise PwmGymError(f"{path} is not a run's file ({error})") from error
-        names = header["terms"]
-        return cls(
-            start=Scene(task=header["task"], layout=Layout.from_json(header["layout"]), **start),
-            **{name: header[name] for name in _FACTS},
-            **arrays,
-            terms={n: values[i] for i, n in enumerate(names)},
-            predicted_terms={n: values[len(names) + i] for i, n in enumerate(names)},
-            settings=header["settings"],
-        )
+        return cls(start=scene, **facts, **arrays, terms=terms, predicted_terms=predicted)

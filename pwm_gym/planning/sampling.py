@@ -136,9 +136,10 @@ class SamplingPlanner(ABC):
             noise: (B, S, H, A), standard normal.
         """
         spread = sigma.unsqueeze(-3) if sigma.ndim == 3 else sigma
-        actions = (mean.unsqueeze(1) + spread * self._fan[: noise.shape[1]] * noise).clamp(-self._bound, self._bound)
+        count = noise.shape[1]
+        actions = (mean.unsqueeze(1) + spread * self._fan[-count:] * noise).clamp(-self._bound, self._bound)
         actions[:, -1] = mean
-        for step in range(self._stops):
+        for step in range(min(self._stops, count // 4)):
             stopping = actions[:, -2 - step]
             stopping[:] = mean
             stopping[:, step:, :-1] = 0.0

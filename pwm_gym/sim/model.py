@@ -48,7 +48,7 @@ class SimulatorModel:
     def rollout(self, state: State, actions: Tensor) -> RigidState:
         """States (B, H) from ``state`` (B,) under ``actions`` (B, H, A)."""
         start = self.prepare(state)
-        futures: list[State] = [self._follow(start[b], actions[b].numpy()) for b in range(len(actions))]
+        futures: list[State] = [self._follow(start[b], actions[b].detach().cpu().numpy()) for b in range(len(actions))]
         joined: RigidState = stack(futures, 0)  # type: ignore[assignment]
         return joined
 

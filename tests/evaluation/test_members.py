@@ -1,4 +1,5 @@
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -6,6 +7,7 @@ import torch
 
 from pwm_gym.data.partial import PARTIAL_POINTS, PartialView
 from pwm_gym.dynamics import rollout
+from pwm_gym.evaluation import TABLES
 from pwm_gym.evaluation import members as table
 from pwm_gym.evaluation.members import Member, run_planning_table
 from pwm_gym.planning import MPPIConfig, Run
@@ -45,6 +47,18 @@ def test_other_settings_are_another_piece(quick, data_folder, tmp_path, monkeypa
     assert row["modes"]["open loop"]["runs"][0]["steps"] == 1
 
 
+def test_a_piece_is_named_after_all_that_decides_it(tmp_path, monkeypatch):
+    def name(member, data="a"):
+        return table._path(tmp_path, "PickCube", member, tmp_path / data, 1, 5, MPPIConfig()).name
+
+    row, shipped = Member("x", "row", "3DPWM, paper-small"), Member("x", "checkpoint", "default")
+    before = name(row)
+    assert name(BASELINE) != name(BASELINE, "b") and name(shipped) == name(shipped, "b")
+    rows = [replace(r, episodes=7) for r in TABLES["rollout"].rows]
+    monkeypatch.setitem(TABLES, "rollout", replace(TABLES["rollout"], rows=tuple(rows)))
+    assert name(row) != before
+
+
 def test_the_simulator_as_a_model_is_the_simulator(sim, random_actions):
     """A rollout agrees with the twin's own steps, and a planner can begin anywhere."""
     sim.reset(seed=300_000)
@@ -67,6 +81,7 @@ def test_a_partial_view_shows_what_faces_the_camera(sim):
     scene = sim.unwrapped.scene()
     view = PartialView(sim.unwrapped.simulator.meshes(), TASK.layout)
     seen = view(scene)
+    np.testing.assert_array_equal(view(scene).clouds, seen.clouds)
     assert all(e.points == PARTIAL_POINTS for e in seen.layout)
     np.testing.assert_array_equal(seen.poses, scene.poses)
     whole = {tuple(p) for p in scene.clouds}

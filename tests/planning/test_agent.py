@@ -37,6 +37,49 @@ def test_it_plans_for_several_scenes_at_once(agent, env):
     assert plans.shape == (3, 4, 7)
     assert agent.plan(scenes[:1]).shape == (1, 4, 7) and agent.plan(scenes[0]).shape == (4, 7)
     assert len({p.tobytes() for p in plans}) == 3
+    agent.look(scenes)
+    assert agent.plan().shape == (3, 4, 7) and agent.act().shape == (3, 7)
+    assert agent.advance(agent.act()).batch == (3,)
+
+
+def test_scenes_of_a_batch_are_planned_for_each_by_itself(env):
+    """Costs of the same actions, together and one by one."""
+    agent = Agent(env.unwrapped.model, "PickCube", QUICK)
+    scenes = [env.unwrapped.vector.checkpoint.bank.scene(i) for i in range(3)]
+    goals = torch.as_tensor(np.stack([s.goal for s in scenes]))
+    actions = torch.rand(3, 2, 4, 7, generator=torch.Generator().manual_seed(0)) - 0.5
+    together = agent.objective.begin(batch_state(scenes), goals)(actions)
+    for b in range(3):
+        alone = agent.objective.begin(batch_state(scenes[b : b + 1]), goals[b : b + 1])(actions[b : b + 1])
+        torch.testing.assert_close(together[b], alone[0], atol=1e-3, rtol=1e-4)
+    assert together.std(0).min() > 1e-3
+
+
+def test_a_plan_is_the_callers_own(agent, scene):
+    plan = agent.plan(scene)
+    plan[:] = 7.0
+    assert abs(agent.plan(scene)).max() <= 1.0
+
+
+def test_the_objectives_gradient_is_that_of_finite_differences(env, scene):
+    """Through the arm's inverse kinematics, too."""
+
+    def low(points, info):
+        return points["hand"].mean(-2)[..., 2]
+
+    objective = Agent(env.unwrapped.model, "PickCube", QUICK, cost=low).objective
+    objective.begin(batch_state([scene]), torch.as_tensor(scene.goal)[None])
+    around = torch.zeros(1, 1, 5, 7)
+    around[..., :3] = 0.1  # at rest it has a kink
+    actions = around.clone().requires_grad_()
+    objective(actions).sum().backward()
+    for step in range(5):
+        for axis in (0, 2):
+            nudge = torch.zeros(1, 1, 5, 7)
+            nudge[..., step, axis] = 0.005
+            change = (objective(around + nudge) - objective(around - nudge)).sum() / 0.01
+            assert actions.grad[0, 0, step, axis] == pytest.approx(float(change), rel=0.02, abs=5e-4)
+    assert actions.grad[0, 0, 0, 2] > 0.1
 
 
 def test_it_needs_a_scene_first(agent, scene):

@@ -96,6 +96,11 @@ def test_a_negative_chunk_is_a_clear_error(counter):
         execute(counter, Recorder(), seed=4, chunk=-1)
 
 
+def test_no_steps_are_a_clear_error(counter):
+    with pytest.raises(PwmGymError, match="max_steps=0; expected at least 1"):
+        execute(counter, Recorder(), seed=4, max_steps=0)
+
+
 def test_an_agent_may_see_less_than_the_scene(counter):
     agent = Recorder()
     execute(counter, agent, 2, observe=lambda scene: replace(scene, last_action=10 + scene.last_action))

@@ -57,6 +57,12 @@ def test_plans_are_actions_and_the_seed_decides_them(config):
     assert not torch.equal(plans[0], plans[2])
 
 
+def test_fewer_and_fewer_samples_still_hold_those_that_stop():
+    config = CEMConfig(samples=100, elites=4, shrink=1.5, iterations=7, horizon=10, sigma=(0.4,), correlation=(0.5,))
+    planner = build_planner(replace(config, finest=(0.2,)), 2)
+    assert planner.plan(point_masses(torch.zeros(3, 2), TARGETS), generator(), batch=3).shape == (3, 10, 2)
+
+
 def test_a_dimension_without_noise_keeps_its_mean(config):
     planner = build_planner(replace(config, sigma=(0.5, 0.0)), 2)
     plan = planner.plan(point_masses(torch.zeros(1, 2), TARGETS[:1]), generator())

@@ -62,6 +62,16 @@ def test_arrays_that_do_not_fit_are_named(run, name):
         replace(run, **{name: getattr(run, name)[:-1]})
 
 
+def test_terms_are_of_both_worlds_and_keep_their_names(run, tmp_path):
+    swapped = dict(reversed(run.predicted_terms.items()))
+    replace(run, predicted_terms=swapped, seed=np.int64(5), success=np.bool_(True)).save(tmp_path / "run.npz")
+    again = Run.load(tmp_path / "run.npz")
+    assert again.seed == 5 and again.success is True
+    np.testing.assert_equal(again.predicted_terms, run.predicted_terms)
+    with pytest.raises(PwmGymError, match="cost term carry of real or of predicted states alone"):
+        replace(run, predicted_terms={"approach": run.predicted_terms["approach"]})
+
+
 def test_a_term_that_does_not_fit_is_named(run):
     with pytest.raises(PwmGymError, match=r"cost term 'carry' has shape \(4,\); expected \(5,\)"):
         replace(run, terms={**run.terms, "carry": np.zeros(4)})

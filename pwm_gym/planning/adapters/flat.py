@@ -33,7 +33,7 @@ class FlatModel:
         cost: str | Callable[..., Tensor] | None = None,
         device: str = "cpu",
     ) -> None:
-        self.model, self._task, self._device = model, get_task(scene.task), device
+        self.model, self._task, self.device = model, get_task(scene.task), device
         self._cost = get_cost(self._task.plan_cost if cost is None else cost)
         self._grasp = get_grasp(self._task.grasp)
         self._state = self._prepared(scene)
@@ -60,7 +60,7 @@ class FlatModel:
         return self._cost(points, info).view(states.shape[:-1])
 
     def _prepared(self, scene: Scene) -> State:
-        state = self.model.prepare(batch_state([scene], self._device))
+        state = self.model.prepare(batch_state([scene], self.device))
         return replace(state, error=None) if isinstance(state, RigidState) else state
 
     def state(self, vectors: Tensor) -> State:

@@ -33,14 +33,15 @@ def pytorch_mppi(
         raise PwmGymError(f"{error}; pip install 'pwm-gym[planners]'") from error
     if len(sigma) != flat.action_size or not all(s > 0.0 for s in sigma):
         raise PwmGymError(f"sigma={sigma}; expected {flat.action_size} values more than 0")
-    bound = torch.ones(flat.action_size)
+    bound = torch.ones(flat.action_size, device=flat.device)
     return MPPI(
         torch.no_grad()(flat.step),
         torch.no_grad()(flat.cost),
         flat.size,
-        torch.diag(torch.tensor(sigma).square()),
+        torch.diag(torch.tensor(sigma, dtype=torch.float32, device=flat.device).square()),
         num_samples=samples,
         horizon=horizon,
+        device=flat.device,
         lambda_=temperature,
         u_min=-bound,
         u_max=bound,

@@ -5,13 +5,18 @@ from __future__ import annotations
 from typing import Any
 
 import torch
-from tensordict import TensorDict, TensorDictBase
-from tensordict.nn import TensorDictModuleBase
-from torchrl.data import Bounded, Composite, Unbounded
-from torchrl.envs import EnvBase
-from torchrl.modules import MPPIPlanner
 
+from pwm_gym.errors import PwmGymError
 from pwm_gym.planning.adapters.flat import FlatModel
+
+try:
+    from tensordict import TensorDict, TensorDictBase
+    from tensordict.nn import TensorDictModuleBase
+    from torchrl.data import Bounded, Composite, Unbounded
+    from torchrl.envs import EnvBase
+    from torchrl.modules import MPPIPlanner
+except ModuleNotFoundError as error:
+    raise PwmGymError(f"{error}; pip install 'pwm-gym[planners]'") from error
 
 __all__ = ["TorchRLEnv", "torchrl_mppi"]
 
