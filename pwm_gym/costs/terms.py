@@ -35,7 +35,10 @@ _HALF_SHUT = 0.2  # a gripper commanded below this shuts on an object of 4 cm
 
 
 def _once(term: Callable[Concatenate[Points, P], Tensor]) -> Callable[Concatenate[Points, P], Tensor]:
-    """Decorator: points that keep a memo (an environment's and a planner's do) form a quantity once."""
+    """Decorator: points that keep a memo (an environment's and a planner's do) form a quantity once.
+
+    All terms then share the tensor, which none may change in place.
+    """
 
     @wraps(term)
     def formed(points: Points, *args: P.args, **kwargs: P.kwargs) -> Tensor:

@@ -25,17 +25,17 @@ class WorldModel(Protocol):
         """State (B,) one control step after action (B, A) in [-1, 1]."""
 
 
-def rollout(model: WorldModel, state: State, actions: Tensor) -> State:
+def rollout(model: WorldModel, state: State, actions: Tensor, prepared: bool = False) -> State:
     """States (B, H) that ``model`` predicts from ``state`` (B,) under ``actions`` (B, H, A).
 
     ``rollout(...).points()`` is (B, H, N, 3); step h is the state after action h. A model that rolls out faster than
-    step by step has a ``rollout(state, actions)`` of its own.
+    step by step has a ``rollout(state, actions)`` of its own. A state that is ``prepared`` is taken as it is.
     """
     own = getattr(model, "rollout", None)
     if own is not None:
         states_of_all: State = own(state, actions)
         return states_of_all
-    state = model.prepare(state)
+    state = state if prepared else model.prepare(state)
     states: list[State] = []
     for action in actions.unbind(1):
         state = model.step(state, action)

@@ -41,8 +41,11 @@ def workspace(low: Sequence[float], high: Sequence[float], entities: Sequence[st
     return outside
 
 
-def keep_clear(obstacles: Sequence[str], entities: Sequence[str], distance: float = 0.01) -> Function:
+def keep_clear(obstacles: Sequence[str], entities: Sequence[str], distance: float = 0.02) -> Function:
     """How much nearer than ``distance`` metres each of ``entities`` is to each obstacle, as a share of it, summed.
+
+    Distances are between up to 64 points of each, which lie a centimetre apart on a cube of 4 cm: surfaces that touch
+    may count as up to 1 cm apart, so that a smaller ``distance`` may not be felt.
 
     The paper's planner penalises collisions with clutter (appendix, "Sim2Real in Cluttered Environment").
 

@@ -72,7 +72,7 @@ class RolloutObjective:
         assert self._state is not None, "call begin() first"
         batch, samples, horizon, size = actions.shape
         start = self._state.map(lambda x: _repeat(x, samples))
-        states = rollout(self.model, start, actions.flatten(0, 1))  # (B S, H)
+        states = rollout(self.model, start, actions.flatten(0, 1), prepared=True)  # (B S, H)
         flat = states.map(lambda x: x.flatten(0, 1))
         goal = _repeat(self._goal, samples * horizon)
         points, info = cost_info(flat, actions.reshape(-1, size), goal, self.grasp)

@@ -240,7 +240,7 @@ def draw_growth(
     """A picture of charts side by side, each of how quantities grow with a size, straight lines, carried on to zero.
 
     Args:
-        panels: name of a size -> label of a curve -> size -> seconds.
+        panels: name of a size -> label of a curve -> size (a whole number) -> seconds.
         title: over all of them.
         size: of one chart, pixels.
     """
@@ -249,7 +249,7 @@ def draw_growth(
     text(image, (20, 24), title, 17)
     for k, (name, curves) in enumerate(panels.items()):
         left = 20 + k * (width + 20)
-        pitch = min(x for curve in curves.values() for x in curve)
+        pitch = float(np.gcd.reduce([round(x) for curve in curves.values() for x in curve]))
         lines = []
         for (label, known), color in zip(curves.items(), (PREDICTED, TRUE, MUTED), strict=False):
             sizes = np.arange(0.0, max(known) + 0.5 * pitch, pitch)

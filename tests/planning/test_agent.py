@@ -114,6 +114,8 @@ def test_caution_avoids_what_the_model_is_unsure_of(env, scene):
 
         def step(self, state, action):
             moved = model.step(state, action)
+            if state.error is None:
+                return moved
             return moved.advance(moved.poses(), moved.joints, state.error + action[:, :1].clamp_min(0.0))
 
     def flat(points, info):
@@ -125,6 +127,17 @@ def test_caution_avoids_what_the_model_is_unsure_of(env, scene):
         agent.reset(0)
         first[caution] = agent.plan(scene)[:, 0].mean()
     assert first[10.0] < -0.1 and first[10.0] < first[0.0]
+
+
+def test_without_caution_expected_errors_are_not_worked_out(env, scene, monkeypatch):
+    model = env.unwrapped.model
+    calls = []
+    forward = model.error.forward
+    monkeypatch.setattr(model.error, "forward", lambda tokens: calls.append(1) or forward(tokens))
+    Agent(model, "PickCube", QUICK).plan(scene)
+    assert not calls
+    Agent(model, "PickCube", QUICK, caution=1.0).plan(scene)
+    assert len(calls) == QUICK.horizon
 
 
 def test_caution_needs_a_model_that_tells_its_error(scene):
