@@ -34,7 +34,7 @@ class Args:
 def main(args: Args) -> None:
     """Plan with the cost, step an environment whose reward it is."""
     env = gym.make("pwm/PickCube-v0", cost="hover")
-    config = pwm_gym.planning.MPPIConfig(samples=args.samples, elites=args.samples // 4)
+    config = pwm_gym.planning.MPPIConfig().resize(args.samples)
     agent = pwm_gym.planning.Agent(env.unwrapped.model, "PickCube", config, cost="hover", seed=args.seed)
     env.reset(seed=args.seed)
     for step in range(args.steps):

@@ -28,7 +28,7 @@ class Args:
 def main(args: Args) -> None:
     """Run one closed-loop episode."""
     model = gym.make("pwm/PickCube-v0").unwrapped.model
-    config = pwm_gym.planning.MPPIConfig(samples=args.samples, horizon=args.horizon, elites=max(1, args.samples // 3))
+    config = pwm_gym.planning.MPPIConfig(horizon=args.horizon).resize(args.samples)
     agent = pwm_gym.planning.Agent(model, "PickCube", config)
 
     twin = gym.make("pwm/PickCubeSim-v0")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +9,7 @@ import gymnasium as gym
 import numpy as np
 from gymnasium.utils import RecordConstructorArgs
 
-from pwm_gym.data.episodes import write_atomically
+from pwm_gym.files import save_arrays
 from pwm_gym.scene.se3 import pose7_from_matrix
 
 __all__ = ["RecordRollout"]
@@ -64,17 +63,15 @@ class RecordRollout(gym.Wrapper[Any, np.ndarray, Any, np.ndarray], RecordConstru
         if self._actions:
             base: Any = self.env.unwrapped
             scene = base.scene()
-            buffer = io.BytesIO()
-            np.savez_compressed(
-                buffer,
-                poses=np.stack(self._poses),
-                actions=np.stack(self._actions),
-                rewards=np.array(self._rewards, np.float32),
-                success=np.array(self._success),
-                goal=scene.goal,
-                clouds=scene.clouds,
-            )
-            write_atomically(self.folder / f"episode-{self.episodes:05d}.npz", buffer.getvalue())
+            arrays = {
+                "poses": np.stack(self._poses),
+                "actions": np.stack(self._actions),
+                "rewards": np.array(self._rewards, np.float32),
+                "success": np.array(self._success),
+                "goal": scene.goal,
+                "clouds": scene.clouds,
+            }
+            save_arrays(self.folder / f"episode-{self.episodes:05d}.npz", arrays)
             self.episodes += 1
         self._clear()
 

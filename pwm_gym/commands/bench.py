@@ -7,7 +7,12 @@ import subprocess
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from pwm_gym.dynamics import WorldModel
+    from pwm_gym.scene import Scene
+    from pwm_gym.tasks import Task
 
 __all__ = ["Bench"]
 
@@ -57,46 +62,51 @@ class Bench:
         prepare_process(self.threads)
         task = get_task(self.task)
         checkpoint = load_checkpoint(resolve("default", task.name), task.name)
-        model, scene = checkpoint.model, checkpoint.bank.scene(0)
-        results: dict[str, Any] = {"start": _start(task.name)}
-        start = results["start"]
-        print(f"gym.make + reset in a fresh process: {start['seconds']:.2f} s, {start['gib']:.2f} GiB")
-        results["simulator_steps_per_second"] = base = benchmarks.simulator_rate(task, self.seconds)
-        print(f"raw simulator env.step: {base:.0f} steps/s")
-        results["model_steps_per_second"] = benchmarks.model_rates(task, self.num_envs, self.seconds)
-        for count, rate in results["model_steps_per_second"].items():
-            print(f"make_vec(num_envs={count}): {rate:.0f} steps/s, {rate / base:.1f} times the simulator's")
-        middle = sorted(self.samples)[len(self.samples) // 2]
-        sizes = [(n, self.horizons[0]) for n in self.samples] + [(middle, h) for h in self.horizons[1:]]
-        results["rollout_seconds"] = benchmarks.rollout_times(model, scene, sizes)
-        plans = [(n, h, task.layout.points) for n, h in sizes]
-        plans += [(middle, self.horizons[0], n) for n in self.points if n != task.layout.points]
-        results["plan_seconds"] = benchmarks.plan_times(model, task, scene, plans)
-        for kind in ("rollout", "plan"):
-            for size, seconds in results[f"{kind}_seconds"].items():
-                print(f"{kind} of {size}: {seconds:.3f} s")
-        floor = results["floor"] = benchmarks.rollout_floor(model, scene, middle, self.horizons[0])
-        print(
-            f"of {middle} x {self.horizons[0]}: products {floor['product_seconds']:.3f} s, memory "
-            f"{floor['memory_seconds']:.3f} s, {floor['operations']:.0f} operations {floor['overhead_seconds']:.3f} s"
-        )
+        scenes = [checkpoint.bank.scene(i) for i in range(max(1, self.planners))]
+        results: dict[str, Any] = {"start": _start(task.name), **self._environments(task)}
+        results.update(self._sizes(checkpoint.model, task, scenes[0]))
         if self.planners:
-            scenes = [checkpoint.bank.scene(i) for i in range(self.planners)]
-            results["planners"] = benchmarks.compare_planners(model, task, scenes)
-            for name, row in results["planners"].items():
-                print(f"{name}: {row['seconds']:.3f} s an action, cost at the end {row['final_cost']:.2f}")
+            results["planners"] = benchmarks.compare_planners(checkpoint.model, task, scenes)
         results["peak_gib"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
-        print(f"peak memory: {results['peak_gib']:.2f} GiB")
+        _print(results)
         if self.pictures is not None:
-            self._draw(self.pictures, results, middle, task.layout.points)
+            self._draw(self.pictures, results, task.layout.points)
         if self.json is not None:
             write_results(self.json, results)
 
-    def _draw(self, folder: Path, results: dict[str, Any], middle: int, points: int) -> None:
+    @property
+    def _middle(self) -> int:
+        """Samples with which the other sizes vary."""
+        return sorted(self.samples)[len(self.samples) // 2]
+
+    def _environments(self, task: Task) -> dict[str, Any]:
+        from pwm_gym.evaluation import benchmarks
+
+        return {
+            "simulator_steps_per_second": benchmarks.simulator_rate(task, self.seconds),
+            "model_steps_per_second": benchmarks.model_rates(task, self.num_envs, self.seconds),
+        }
+
+    def _sizes(self, model: WorldModel, task: Task, scene: Scene) -> dict[str, Any]:
+        """Times of rollouts and plans by their sizes, and the floor of one rollout."""
+        from pwm_gym.evaluation import benchmarks
+
+        middle, first = self._middle, self.horizons[0]
+        sizes = [(n, first) for n in self.samples] + [(middle, h) for h in self.horizons[1:]]
+        plans = [(n, h, task.layout.points) for n, h in sizes]
+        plans += [(middle, first, n) for n in self.points if n != task.layout.points]
+        return {
+            "rollout_seconds": benchmarks.rollout_times(model, scene, sizes),
+            "plan_seconds": benchmarks.plan_times(model, task, scene, plans),
+            "floor": {"of": f"{middle} x {first}", **benchmarks.rollout_floor(model, scene, middle, first)},
+        }
+
+    def _draw(self, folder: Path, results: dict[str, Any], points: int) -> None:
         """How the times of rollouts and plans grow with each of their sizes."""
         from pwm_gym.viewer import draw_growth
 
-        rollouts, plans, first = results["rollout_seconds"], results["plan_seconds"], self.horizons[0]
+        rollouts, plans = results["rollout_seconds"], results["plan_seconds"]
+        middle, first = self._middle, self.horizons[0]
         panels: dict[str, dict[str, dict[float, float]]] = {
             "samples": {
                 "rollout": {n: rollouts[f"{n} x {first}"] for n in self.samples},
@@ -110,6 +120,24 @@ class Bench:
         }
         folder.mkdir(parents=True, exist_ok=True)
         draw_growth(panels, f"{self.task}: time of one rollout, and of one plan's costs").save(folder / "growth.png")
+
+
+def _print(results: dict[str, Any]) -> None:
+    start, base, floor = results["start"], results["simulator_steps_per_second"], results["floor"]
+    print(f"gym.make + reset in a fresh process: {start['seconds']:.2f} s, {start['gib']:.2f} GiB")
+    print(f"raw simulator env.step: {base:.0f} steps/s")
+    for count, rate in results["model_steps_per_second"].items():
+        print(f"make_vec(num_envs={count}): {rate:.0f} steps/s, {rate / base:.1f} times the simulator's")
+    for kind in ("rollout", "plan"):
+        for size, seconds in results[f"{kind}_seconds"].items():
+            print(f"{kind} of {size}: {seconds:.3f} s")
+    print(
+        f"of {floor['of']}: products {floor['product_seconds']:.3f} s, memory {floor['memory_seconds']:.3f} s, "
+        f"{floor['operations']:.0f} operations {floor['overhead_seconds']:.3f} s"
+    )
+    for name, row in results.get("planners", {}).items():
+        print(f"{name}: {row['seconds']:.3f} s an action, cost at the end {row['final_cost']:.2f}")
+    print(f"peak memory: {results['peak_gib']:.2f} GiB")
 
 
 def _start(task: str) -> dict[str, float]:

@@ -51,18 +51,16 @@ class Demo:
         runs = [_execute(env, agent, seed) for seed in seed_range("plan_test", self.episodes)]
         env.close()
         best = next((r for r in runs if r.success), runs[0])
-        self._draw(best)
+        self._draw(best, agent)
         wins = sum(r.success for r in runs)
         print(f"\nsuccess {wins}/{len(runs)}; pictures of seed {best.seed} in {self.out}/")
 
-    def _draw(self, run: Run) -> None:
+    def _draw(self, run: Run, agent: Agent) -> None:
         """GIF and PNG of the run as the model predicts it from the first scene alone, and as it went."""
-        from pwm_gym.commands.view import rolled_out, twin_record
+        from pwm_gym.commands.view import FROM_THE_FIRST, rolled_out, twin_record
         from pwm_gym.viewer import write_gif, write_png
 
-        record = twin_record(
-            rolled_out(run, self.checkpoint), "the model sees the first frame only, then the same actions"
-        )
+        record = twin_record(rolled_out(run, agent), FROM_THE_FIRST)
         print(
             f"\nfrom the first scene alone, the model predicts all {run.steps} executed actions:"
             f"\n  Chamfer L1 {record.error.mean() * 1e3:.1f} mm on average, {record.error[-1] * 1e3:.1f} mm at the end"

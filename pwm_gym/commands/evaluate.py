@@ -56,7 +56,7 @@ class Evaluate:
         if self.table is not None:
             self._table(self.table)
             return
-        from pwm_gym.data import load_split
+        from pwm_gym.data import fit_baseline, load_split
         from pwm_gym.dynamics import load_checkpoint, resolve
         from pwm_gym.evaluation import evaluate_rollouts, long_rollouts, write_results
         from pwm_gym.process import prepare_process
@@ -70,8 +70,9 @@ class Evaluate:
         checkpoint = load_checkpoint(resolve(self.checkpoint, task.name), task.name)
         rows = {checkpoint.kind: evaluate_rollouts(checkpoint.model, task, dataset, every=self.every)}
         rows["oracle effector"] = evaluate_rollouts(checkpoint.model, task, dataset, oracle=True, every=self.every)
-        for name, model in _baselines(task, self.data).items():
-            rows[name] = evaluate_rollouts(model, task, dataset, every=self.every)
+        training = load_split(self.data, "train", task.name)
+        for name in _WITHOUT_LEARNING:
+            rows[name] = evaluate_rollouts(fit_baseline(name, task, training), task, dataset, every=self.every)
         floors = _floors(task, dataset) if self.floors else {}
         _print(task, rows, floors)
         self._calibration(task, rows[checkpoint.kind])
@@ -155,21 +156,6 @@ def _print_planning(table: dict[str, Any]) -> None:
                 f"    {mode:14s} {result['successes']:3d}/{result['episodes']} ({low:.0%} to {high:.0%}), "
                 f"{'-' if steps is None else f'{steps:.0f}'} steps, {result['plan_seconds']['median']:.2f} s an action"
             )
-
-
-def _baselines(task: Task, data: Path) -> dict[str, Any]:
-    """The baselines without learning, their linear response fitted on the training split."""
-    from pwm_gym.data import Windows, load_split
-    from pwm_gym.dynamics import build_model
-
-    every = Windows(load_split(data, "train", task.name)).transitions()
-    models: dict[str, Any] = {}
-    for name in _WITHOUT_LEARNING:
-        model: Any = build_model(name, task.layout, task.action_size, task.control)
-        if hasattr(model, "response"):
-            model.response.fit(every.frames, every.actions[:, 0], every.following[:, 0])
-        models[name] = model
-    return models
 
 
 def _floors(task: Task, dataset: Dataset) -> dict[str, Any]:

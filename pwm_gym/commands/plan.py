@@ -54,12 +54,10 @@ class Plan:
 
     def run(self) -> None:
         """Run the episodes and print the success table."""
-        import gymnasium as gym
-
         import pwm_gym  # noqa: F401  (registers)
         from pwm_gym.dynamics import load_checkpoint, resolve
         from pwm_gym.errors import unknown_name
-        from pwm_gym.evaluation import planning_table, run_episodes, write_results
+        from pwm_gym.evaluation import planning_table, run_in_simulator, save_runs, write_results
         from pwm_gym.planning import Agent
         from pwm_gym.process import prepare_process
         from pwm_gym.seeds import RANGES, seed_range
@@ -71,17 +69,13 @@ class Plan:
         prepare_process(self.threads)
         task = get_task(self.task)
         model = load_checkpoint(resolve(self.checkpoint, self.task), self.task).model
-        env = gym.make(f"pwm/{self.task}Sim-v0", max_episode_steps=self.max_steps)
         seeds = seed_range(self.seeds, self.episodes, self.offset)
         agent = Agent(model, self.task, config, penalties=self._penalties(task), caution=self.caution)
-        runs = run_episodes(env, agent, seeds, self.max_steps, self.chunk)
-        env.close()
+        runs = run_in_simulator(task, agent, seeds, self.max_steps, self.chunk)
         table = planning_table(runs)
         _print(self.task, self.chunk, table)
         if self.save is not None:
-            self.save.mkdir(parents=True, exist_ok=True)
-            for run in runs:
-                run.save(self.save / f"seed-{run.seed}.npz")
+            save_runs(runs, self.save)
         if self.json is not None:
             facts = {"planner": self.planner, "settings": asdict(config), "chunk": self.chunk, "seeds": self.seeds}
             write_results(self.json, {**facts, **table})
@@ -91,9 +85,9 @@ class Plan:
         from pwm_gym.planning import get_planner_config
 
         config = get_planner_config(self.planner)
-        changes = {k: v for k in ("samples", "horizon", "iterations") if (v := getattr(self, k)) is not None}
         if self.samples is not None:
-            changes["elites"] = max(1, round(config.elites * self.samples / config.samples))
+            config = config.resize(self.samples)
+        changes = {k: v for k in ("horizon", "iterations") if (v := getattr(self, k)) is not None}
         return replace(config, **changes)
 
     def _penalties(self, task: Task) -> dict[str, Any]:

@@ -11,12 +11,13 @@ import tyro
 if TYPE_CHECKING:
     import numpy as np
 
-    from pwm_gym.planning import Run
+    from pwm_gym.planning import Agent, Run
     from pwm_gym.viewer import TwinRecord
 
-__all__ = ["View", "rolled_out", "twin_record"]
+__all__ = ["FROM_THE_FIRST", "View", "rolled_out", "twin_record"]
 
-_FROM_THE_FIRST = "the model sees the first frame only, then the same actions"
+FROM_THE_FIRST = "the model sees the first frame only, then the same actions"
+"""What a picture says of :func:`rolled_out`."""
 _LOOKS = {0: "planned from the first frame alone", 1: "the model looks at every step"}
 
 
@@ -35,29 +36,31 @@ class View:
 
     def run(self) -> None:
         """Write the PNG and the GIF, and print the run's facts."""
-        from pwm_gym.planning import Run
+        from pwm_gym.dynamics import load_checkpoint, resolve
+        from pwm_gym.planning import Agent, Run
         from pwm_gym.viewer import write_gif, write_png
 
         run = Run.load(self.run_file)
-        shown = _FROM_THE_FIRST if self.rollout else _LOOKS.get(run.chunk, f"the model looks every {run.chunk} steps")
-        record = twin_record(rolled_out(run, self.checkpoint) if self.rollout else run, shown)
+        shown = _LOOKS.get(run.chunk, f"the model looks every {run.chunk} steps")
+        if self.rollout:
+            task = run.start.task
+            agent = Agent(load_checkpoint(resolve(self.checkpoint, task), task).model, task)
+            run, shown = rolled_out(run, agent), FROM_THE_FIRST
+        record = twin_record(run, shown)
         self.out.mkdir(parents=True, exist_ok=True)
         print(f"seed {run.seed}: {'success' if run.success else 'failure'} after {run.steps} steps; {shown}")
         for suffix, write in ((".png", write_png), (".gif", write_gif)):
             print(write(record, self.out / f"{self.run_file.stem}{suffix}"))
 
 
-def rolled_out(run: Run, checkpoint: str = "default") -> Run:
-    """The same run, with what a checkpoint's model predicts of all its actions from the first scene alone."""
+def rolled_out(run: Run, agent: Agent) -> Run:
+    """The same run, with what an agent's model predicts of all its actions from the first scene alone."""
     import torch
 
-    from pwm_gym.dynamics import load_checkpoint, resolve, rollout
-    from pwm_gym.planning import Agent
+    from pwm_gym.dynamics import rollout
     from pwm_gym.scene import batch_state
     from pwm_gym.scene.se3 import pose7_from_matrix
 
-    task = run.start.task
-    agent = Agent(load_checkpoint(resolve(checkpoint, task), task).model, task)
     agent.look(run.start)
     with torch.no_grad():
         states = rollout(agent.model, batch_state([run.start]), torch.as_tensor(run.actions)[None])[0]
@@ -95,11 +98,7 @@ def twin_record(run: Run, predicted: str) -> TwinRecord:
 
 def _points(run: Run, poses: np.ndarray) -> np.ndarray:
     """World-frame points (T, N, 3) of entity poses (T, E, 7)."""
-    import numpy as np
-    import torch
+    from pwm_gym.scene import batch_state
 
-    from pwm_gym.scene.se3 import matrix_from_pose7, transform
-
-    frames, start = matrix_from_pose7(torch.as_tensor(poses)).float(), run.start
-    parts = [transform(frames[:, i], torch.as_tensor(start.clouds[e.slice])) for i, e in enumerate(start.layout)]
-    return np.concatenate([p.numpy() for p in parts], 1)
+    scenes = [replace(run.start, poses=pose[None].repeat(3, 0)) for pose in poses]
+    return batch_state(scenes).points().numpy()

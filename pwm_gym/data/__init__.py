@@ -3,7 +3,7 @@
 from pwm_gym.data.collect import CollectConfig, collect
 from pwm_gym.data.dataset import Dataset, Windows, load_split
 from pwm_gym.data.episodes import KINDS, Episode
-from pwm_gym.data.fitting import FitConfig, fit, fit_error
+from pwm_gym.data.fitting import FitConfig, fit, fit_baseline, fit_error
 
 __all__ = [
     "KINDS",
@@ -14,6 +14,7 @@ __all__ = [
     "Windows",
     "collect",
     "fit",
+    "fit_baseline",
     "fit_error",
     "load_split",
 ]

@@ -12,10 +12,11 @@ import numpy as np
 from tqdm import tqdm
 
 from pwm_gym.data.dataset import read_header
-from pwm_gym.data.episodes import KINDS, Episode, read_shard, write_atomically, write_shard
+from pwm_gym.data.episodes import KINDS, Episode, read_shard, write_shard
 from pwm_gym.data.policies import Behaviour, Demonstration, OnPolicy, Practice
 from pwm_gym.dynamics.checkpoint import load_checkpoint, resolve
 from pwm_gym.errors import DatasetError
+from pwm_gym.files import write_atomically
 from pwm_gym.planning import Agent
 from pwm_gym.scene import sample_clouds
 from pwm_gym.seeds import RANGES

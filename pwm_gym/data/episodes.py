@@ -2,11 +2,6 @@
 
 from __future__ import annotations
 
-import io
-import json
-import os
-import zipfile
-import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -14,8 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from pwm_gym.errors import DatasetError
+from pwm_gym.files import load_arrays, save_arrays
 
-__all__ = ["KINDS", "Episode", "read_shard", "write_atomically", "write_shard"]
+__all__ = ["KINDS", "Episode", "read_shard", "write_shard"]
 
 KINDS = ("expert", "randomised", "practice", "on_policy")
 """Kinds of episodes: the expert's, the expert's up to a random switch, mixed segments, and a planner's."""
@@ -51,17 +47,6 @@ class Episode:
         return len(self.actions)
 
 
-def write_atomically(path: Path, content: bytes) -> None:
-    """Write ``path`` so that it either holds all of ``content`` or is left as it was."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    with temporary.open("wb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
-    temporary.replace(path)
-
-
 def write_shard(path: Path, episodes: Sequence[Episode], header: dict[str, object]) -> None:
     """Write episodes to one ``.npz``: per-step arrays joined end to end, per-episode values stacked."""
     arrays: dict[str, np.ndarray] = {}
@@ -69,9 +54,7 @@ def write_shard(path: Path, episodes: Sequence[Episode], header: dict[str, objec
         values = [getattr(e, field.name) for e in episodes]
         arrays[field.name] = np.stack(values) if field.name in _PER_EPISODE else np.concatenate(values)
     arrays["lengths"] = np.array([len(e) for e in episodes])
-    buffer = io.BytesIO()
-    np.savez_compressed(buffer, header=np.array(json.dumps(header)), **arrays)  # type: ignore[arg-type]
-    write_atomically(path, buffer.getvalue())
+    save_arrays(path, arrays, header)
 
 
 def read_shard(path: Path, task: str | None = None) -> list[Episode]:
@@ -80,14 +63,8 @@ def read_shard(path: Path, task: str | None = None) -> list[Episode]:
     Raises:
         DatasetError: the file is truncated, foreign, or of another task than ``task``.
     """
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
-        header = json.loads(str(arrays.pop("header")))
-    except (KeyError, TypeError, ValueError, OSError, EOFError, zipfile.BadZipFile, zlib.error) as error:
-        raise DatasetError(f"{path} is truncated or not a shard ({error}); collect again to replace it") from error
-    if header.get("format") != "pwm_gym.episodes":
-        raise DatasetError(f"{path} has format {header.get('format')!r}; expected 'pwm_gym.episodes'")
+    complaint = "is truncated or not a shard; collect again to replace it"
+    arrays, header = load_arrays(path, complaint, DatasetError, "pwm_gym.episodes")
     if task is not None and header["task"] != task:
         raise DatasetError(f"{path} holds episodes of {header['task']!r}; expected {task!r}")
     return _split(arrays)

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -18,12 +18,13 @@ from pwm_gym.data.dataset import Dataset, Windows, load_split, read_header
 from pwm_gym.data.episodes import KINDS
 from pwm_gym.data.partial import PartialWindows, visible_split
 from pwm_gym.dynamics.checkpoint import SceneBank, save_checkpoint, use_device
+from pwm_gym.dynamics.model import WorldModel
 from pwm_gym.dynamics.registry import build_model
 from pwm_gym.dynamics.training import TrainConfig, has_state, leads, train
 from pwm_gym.errors import DatasetError, unknown_name
 from pwm_gym.tasks import Task, get_task
 
-__all__ = ["BANK", "FitConfig", "fit", "fit_error", "scene_bank"]
+__all__ = ["BANK", "FitConfig", "fit", "fit_baseline", "fit_error", "scene_bank"]
 
 BANK = 256
 """Initial scenes that a checkpoint carries."""
@@ -181,6 +182,13 @@ def _gaps(state: Any, truth: torch.Tensor) -> torch.Tensor:
     """Mean distance (B, E) of each entity's points from where they are at ``truth`` (B, E, 4, 4)."""
     gaps = (state.points() - state.advance(truth).points()).norm(dim=-1)
     return torch.stack([gaps[:, e.slice].mean(1) for e in state.layout], 1)
+
+
+def fit_baseline(kind: str, task: Task, dataset: Dataset) -> WorldModel:
+    """A baseline without learning; what response it has is fitted on every transition of ``dataset``."""
+    model: Any = build_model(kind, task.layout, task.action_size, task.control)
+    _fit_response(model, dataset, arm_steps=0)
+    return cast("WorldModel", model)
 
 
 def _describe(config: FitConfig, dataset: Dataset) -> dict[str, Any]:

@@ -15,7 +15,8 @@ from tqdm import tqdm
 from pwm_gym.data.dataset import Dataset, Windows, load_split
 from pwm_gym.dynamics.training import Batch
 from pwm_gym.errors import DatasetError
-from pwm_gym.scene import Layout, Scene
+from pwm_gym.files import load_arrays, save_arrays
+from pwm_gym.scene import Layout, Scene, batch_state
 from pwm_gym.scene.se3 import matrix_from_pose7, transform
 from pwm_gym.sensing import DepthCamera, RayCaster
 from pwm_gym.tasks import Task
@@ -63,8 +64,8 @@ def visibility(
     """
     frames, points = sum(len(e) + 1 for e in dataset.episodes), dataset.layout.points
     if cache is not None and cache.exists():
-        with np.load(cache, allow_pickle=False) as file:
-            seen = np.unpackbits(file["visible"], axis=1, count=points).astype(bool)
+        kept, _ = load_arrays(cache, "is truncated; delete it", DatasetError)
+        seen = np.unpackbits(kept["visible"], axis=1, count=points).astype(bool)
         if len(seen) != frames:
             raise DatasetError(f"{cache} tells of {len(seen)} frames; expected {frames}")
         return seen
@@ -77,11 +78,7 @@ def visibility(
         rows += [caster.visible(camera, x, at) for x, at in zip(placed.numpy(), poses.numpy(), strict=True)]
     seen = np.stack(rows)
     if cache is not None:
-        cache.parent.mkdir(parents=True, exist_ok=True)
-        temporary = cache.with_name(f".{cache.name}")  # so that a killed run leaves no half of it
-        with temporary.open("wb") as file:
-            np.savez_compressed(file, visible=np.packbits(seen, axis=1))
-        temporary.replace(cache)
+        save_arrays(cache, {"visible": np.packbits(seen, axis=1)})
     return seen
 
 
@@ -115,15 +112,23 @@ def visible_split(folder: Path, split: str, task: Task, dataset: Dataset | None 
 
 
 def partial_clouds(
-    dataset: Dataset, seen: Tensor, generator: torch.Generator, points: int = PARTIAL_POINTS
+    layout: Layout, clouds: Tensor, seen: Tensor, generator: torch.Generator, points: int = PARTIAL_POINTS
 ) -> tuple[Layout, Tensor]:
-    """Canonical points (B, n, 3) drawn among those ``seen`` (B, N), ``points`` of each entity, and their layout."""
-    layout, clouds = dataset.layout.truncate(points), torch.as_tensor(dataset.clouds)
+    """Canonical points (B, n, 3) drawn among those ``seen`` (B, N), and their layout.
+
+    Args:
+        layout: of ``clouds``.
+        clouds: canonical points (N, 3).
+        seen: bool.
+        generator: draws.
+        points: of each entity, at most.
+    """
+    coarse = layout.truncate(points)
     parts = [
         clouds[full.start + choose_visible(seen[:, full.slice], e.points, generator)]
-        for full, e in zip(dataset.layout, layout, strict=True)
+        for full, e in zip(layout, coarse, strict=True)
     ]
-    return layout, torch.cat(parts, 1)
+    return coarse, torch.cat(parts, 1)
 
 
 class PartialView:
@@ -152,16 +157,13 @@ class PartialView:
 
         An entity that it does not see keeps points of all sides.
         """
-        poses = matrix_from_pose7(torch.as_tensor(scene.poses[0], dtype=torch.float64))
-        clouds = torch.as_tensor(scene.clouds)
-        placed = _posed(clouds[None].double(), scene.layout, poses[None])[0]
-        seen = torch.as_tensor(self._caster.visible(self._camera, placed.numpy(), poses.numpy()))
-        layout, generator = scene.layout.truncate(self._points), torch.Generator().manual_seed(self._seed)
-        parts = [
-            clouds[full.start + choose_visible(seen[None, full.slice], e.points, generator)[0]]
-            for full, e in zip(scene.layout, layout, strict=True)
-        ]
-        return replace(scene, layout=layout, clouds=torch.cat(parts).numpy())
+        state = batch_state([scene])
+        seen = self._caster.visible(self._camera, state.points()[0].double().numpy(), state.poses()[0].double().numpy())
+        generator = torch.Generator().manual_seed(self._seed)
+        layout, clouds = partial_clouds(
+            scene.layout, torch.as_tensor(scene.clouds), torch.as_tensor(seen)[None], generator, self._points
+        )
+        return replace(scene, layout=layout, clouds=clouds[0].numpy())
 
 
 class PartialWindows(Windows):
@@ -179,17 +181,20 @@ class PartialWindows(Windows):
 
     def __init__(self, dataset: Dataset, seen: np.ndarray, points: int = PARTIAL_POINTS, boost: float = 1.0) -> None:
         super().__init__(dataset, boost)
-        self._dataset, self._seen, self._points = dataset, torch.as_tensor(seen), points
+        self._seen, self._points = torch.as_tensor(seen), points
 
     def at(self, frames: Tensor, horizon: int, generator: torch.Generator) -> Batch:
         """The windows (B,) that begin at ``frames``; ``generator`` draws the points."""
         whole = super().at(frames, horizon, generator)
         observed = []
         for h in range(horizon):
-            _, canonical = partial_clouds(self._dataset, self._seen[frames + 1 + h], generator, self._points)
-            observed.append(_posed(canonical, self.layout.truncate(self._points), whole.following[:, h]))
-        layout, clouds = partial_clouds(self._dataset, self._seen[frames], generator, self._points)
+            layout, canonical = self._draw(frames + 1 + h, generator)
+            observed.append(_posed(canonical, layout, whole.following[:, h]))
+        layout, clouds = self._draw(frames, generator)
         return replace(whole, layout=layout, clouds=clouds, observed=torch.stack(observed, 1))
+
+    def _draw(self, frames: Tensor, generator: torch.Generator) -> tuple[Layout, Tensor]:
+        return partial_clouds(self.layout, self._clouds, self._seen[frames], generator, self._points)
 
 
 def _posed(canonical: Tensor, layout: Layout, poses: Tensor) -> Tensor:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import zipfile
-import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,6 +16,7 @@ from torch import nn
 from pwm_gym.dynamics.model import WorldModel
 from pwm_gym.dynamics.registry import build_model, config_of
 from pwm_gym.errors import CheckpointError, unknown_name
+from pwm_gym.files import load_arrays
 from pwm_gym.robots import Control
 from pwm_gym.scene import Layout, Scene
 
@@ -159,12 +158,11 @@ def _load_weights(model: nn.Module, path: Path) -> None:
 
 
 def _bank(path: Path, task: str, layout: Layout) -> SceneBank:
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            joints = file["joints"] if "joints" in file.files else None
-            return SceneBank(task, layout, file["clouds"], file["poses"], file["goals"], joints)
-    except (KeyError, TypeError, ValueError, OSError, EOFError, zipfile.BadZipFile, zlib.error) as error:
-        raise CheckpointError(f"{path} is truncated or not a scene bank ({error})") from error
+    complaint = "is truncated or not a scene bank"
+    arrays, _ = load_arrays(path, complaint, CheckpointError)
+    if missing := [name for name in _BANK[:3] if name not in arrays]:
+        raise CheckpointError(f"{path} {complaint} (it lacks {', '.join(missing)})")
+    return SceneBank(task, layout, **{name: arrays[name] for name in _BANK if name in arrays})
 
 
 def use_device(device: str) -> torch.device:

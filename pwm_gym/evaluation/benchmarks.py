@@ -24,7 +24,7 @@ from pwm_gym.tasks import Task
 
 __all__ = ["compare_planners", "model_rates", "plan_times", "rollout_floor", "rollout_times", "simulator_rate"]
 
-_SPREAD = (0.3, 0.3, 0.3, 1e-3, 1e-3, 0.3, 0.7)  # our planner's noise; pytorch_mppi's may not be 0
+_LEAST_NOISE = 1e-3  # pytorch_mppi's may not be 0
 
 
 def simulator_rate(task: Task, seconds: float) -> float:
@@ -132,10 +132,11 @@ def compare_planners(
         For each planner the median seconds of an action, and the planning cost of the state after ``steps`` actions,
         mean over the scenes.
     """
+    config = MPPIConfig(horizon=horizon).resize(samples)
     makers: dict[str, Callable[[FlatModel, Scene], Callable[[torch.Tensor], torch.Tensor]]] = {
-        "pwm_gym": lambda flat, scene: _ours(flat, scene, model, task, samples, horizon),
-        "pytorch_mppi": lambda flat, scene: _pytorch_mppi(flat, samples, horizon),
-        "torchrl": lambda flat, scene: _torchrl(flat, scene, samples, horizon),
+        "pwm_gym": lambda flat, scene: _ours(flat, scene, model, task, config),
+        "pytorch_mppi": lambda flat, scene: _pytorch_mppi(flat, config),
+        "torchrl": lambda flat, scene: _torchrl(flat, scene, config),
     }
     table = {}
     for name, make in makers.items():
@@ -156,9 +157,8 @@ def compare_planners(
 
 
 def _ours(
-    flat: FlatModel, scene: Scene, model: WorldModel, task: Task, samples: int, horizon: int
+    flat: FlatModel, scene: Scene, model: WorldModel, task: Task, config: MPPIConfig
 ) -> Callable[[torch.Tensor], torch.Tensor]:
-    config = MPPIConfig(samples=samples, horizon=horizon, elites=max(1, round(0.32 * samples)))
     planner, generator = build_planner(config, task.action_size), torch.Generator().manual_seed(0)
     objective = RolloutObjective(model, get_cost(task.plan_cost), get_grasp(task.grasp))
     goal = torch.as_tensor(scene.goal)[None]
@@ -169,19 +169,21 @@ def _ours(
     return act
 
 
-def _pytorch_mppi(flat: FlatModel, samples: int, horizon: int) -> Callable[[torch.Tensor], torch.Tensor]:
+def _pytorch_mppi(flat: FlatModel, config: MPPIConfig) -> Callable[[torch.Tensor], torch.Tensor]:
     from pwm_gym.planning.adapters.pytorch_mppi import pytorch_mppi
 
-    act: Callable[[torch.Tensor], torch.Tensor] = pytorch_mppi(flat, _SPREAD, samples, horizon).command
+    sigma = tuple(max(s, _LEAST_NOISE) for s in config.sigma)
+    act: Callable[[torch.Tensor], torch.Tensor] = pytorch_mppi(flat, sigma, config.samples, config.horizon).command
     return act
 
 
-def _torchrl(flat: FlatModel, scene: Scene, samples: int, horizon: int) -> Callable[[torch.Tensor], torch.Tensor]:
+def _torchrl(flat: FlatModel, scene: Scene, config: MPPIConfig) -> Callable[[torch.Tensor], torch.Tensor]:
     from tensordict import TensorDict
 
     from pwm_gym.planning.adapters.torchrl import TorchRLEnv, torchrl_mppi
 
-    planner = torchrl_mppi(TorchRLEnv(flat, flat.vector(scene)), samples, max(1, round(0.32 * samples)), horizon)
+    env = TorchRLEnv(flat, flat.vector(scene))
+    planner = torchrl_mppi(env, config.samples, config.elites, config.horizon)
 
     def act(state: torch.Tensor) -> torch.Tensor:
         action: torch.Tensor = planner(TensorDict({"state": state}, []))["action"]

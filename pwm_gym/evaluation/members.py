@@ -9,16 +9,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import gymnasium as gym
 import torch
 
-from pwm_gym.data import Windows, load_split
-from pwm_gym.data.episodes import write_atomically
+from pwm_gym.data import fit_baseline, load_split
 from pwm_gym.data.partial import PartialView
-from pwm_gym.dynamics import WorldModel, build_model, load_checkpoint, resolve
-from pwm_gym.evaluation.planning import planning_table, run_episodes
+from pwm_gym.dynamics import WorldModel, load_checkpoint, resolve
+from pwm_gym.evaluation.planning import planning_table, run_in_simulator, save_runs
 from pwm_gym.evaluation.record import describe_commit
 from pwm_gym.evaluation.tables import row_folder, trained
+from pwm_gym.files import write_atomically
 from pwm_gym.planning import Agent, MPPIConfig
 from pwm_gym.scene import Scene
 from pwm_gym.seeds import seed_range
@@ -59,7 +58,7 @@ MEMBERS = (
 )
 """The table's rows."""
 
-_SLOW = MPPIConfig(samples=32, elites=10)
+_SLOW = MPPIConfig().resize(32)
 
 
 def run_planning_table(
@@ -119,27 +118,19 @@ def _model(member: Member, data: Path, out: Path, task: Task) -> WorldModel:
         return load_checkpoint(folder, task.name).model
     if member.kind == "simulator":
         return SimulatorModel(task.simulator(), task.layout, task.name, task.goal_size)
-    model: Any = build_model(member.source, task.layout, task.action_size, task.control)
-    every = Windows(load_split(data, "train", task.name)).transitions()
-    model.response.fit(every.frames, every.actions[:, 0], every.following[:, 0])
-    return model
+    return fit_baseline(member.source, task, load_split(data, "train", task.name))
 
 
 def _plan(
     model: WorldModel, member: Member, task: Task, config: MPPIConfig, chunk: int, episodes: int, folder: Path
 ) -> dict[str, Any]:
     """Test seeds of planning in the simulator; failed runs are saved in ``folder``."""
-    env = gym.make(f"pwm/{task.name}Sim-v0", max_episode_steps=_MAX_STEPS)
     observe: Callable[[Scene], Scene] | None = None
     if member.partial:
         simulator = task.simulator()
         observe = PartialView(simulator.meshes(), task.layout)
         simulator.close()
-    agent = Agent(model, task.name, config)
-    runs = run_episodes(env, agent, seed_range("plan_test", episodes), _MAX_STEPS, chunk, observe)
-    env.close()
-    for run in runs:
-        if not run.success:
-            folder.mkdir(parents=True, exist_ok=True)
-            run.save(folder / f"seed-{run.seed}.npz")
+    agent, seeds = Agent(model, task.name, config), seed_range("plan_test", episodes)
+    runs = run_in_simulator(task, agent, seeds, _MAX_STEPS, chunk, observe)
+    save_runs([run for run in runs if not run.success], folder)
     return planning_table(runs)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -12,8 +13,9 @@ from tqdm import tqdm
 
 from pwm_gym.planning import Agent, Run, execute
 from pwm_gym.scene import Scene
+from pwm_gym.tasks import Task
 
-__all__ = ["planning_table", "run_episodes", "wilson"]
+__all__ = ["planning_table", "run_episodes", "run_in_simulator", "save_runs", "wilson"]
 
 
 def run_episodes(
@@ -34,6 +36,29 @@ def run_episodes(
                 runs.append(run)
             bar.set_postfix(success=f"{sum(r.success for r in runs)}/{len(runs)}")
     return runs
+
+
+def run_in_simulator(
+    task: Task,
+    agent: Agent,
+    seeds: Sequence[int],
+    max_steps: int = 100,
+    chunk: int = 1,
+    observe: Callable[[Scene], Scene] | None = None,
+    progress: bool = True,
+) -> list[Run]:
+    """:func:`run_episodes` in the task's simulator environment, which is closed again."""
+    env = gym.make(f"pwm/{task.name}Sim-v0", max_episode_steps=max_steps)
+    try:
+        return run_episodes(env, agent, seeds, max_steps, chunk, observe, progress)
+    finally:
+        env.close()
+
+
+def save_runs(runs: Sequence[Run], folder: Path) -> None:
+    """Write a record of each run to ``folder`` as ``seed-N.npz``."""
+    for run in runs:
+        run.save(folder / f"seed-{run.seed}.npz")
 
 
 def wilson(successes: int, trials: int, z: float = 1.96) -> tuple[float, float]:

@@ -89,12 +89,12 @@ def predict(
 
 def _starting_clouds(dataset: Dataset, seen: np.ndarray | None) -> tuple[Layout, Tensor]:
     """Canonical points (M, n, 3) that each predicted episode starts with, and their layout."""
-    lengths = np.array([len(e) for e in dataset.episodes])
+    lengths, clouds = np.array([len(e) for e in dataset.episodes]), torch.as_tensor(dataset.clouds)
     long = lengths > OBSERVED - 1
     if seen is None:
-        return dataset.layout, torch.as_tensor(dataset.clouds).expand(int(long.sum()), -1, -1)
+        return dataset.layout, clouds.expand(int(long.sum()), -1, -1)
     third = (np.cumsum(lengths + 1) - lengths - 1 + OBSERVED - 1)[long]
-    return partial_clouds(dataset, torch.as_tensor(seen[third]), torch.Generator().manual_seed(0))
+    return partial_clouds(dataset.layout, clouds, torch.as_tensor(seen[third]), torch.Generator().manual_seed(0))
 
 
 def _frames(episode: Episode, horizon: int) -> Tensor:

@@ -18,15 +18,15 @@ from typing import Any
 import numpy as np
 
 from pwm_gym.data import FitConfig, fit, load_split
-from pwm_gym.data.episodes import write_atomically
 from pwm_gym.data.partial import visible_split
-from pwm_gym.dynamics import load_checkpoint
+from pwm_gym.dynamics import WorldModel, load_checkpoint
 from pwm_gym.dynamics.training import TrainConfig
 from pwm_gym.errors import unknown_name
-from pwm_gym.evaluation.planning import planning_table, run_episodes
+from pwm_gym.evaluation.planning import planning_table, run_in_simulator
 from pwm_gym.evaluation.record import describe_commit
 from pwm_gym.evaluation.report import evaluate_rollouts
 from pwm_gym.evaluation.rollouts import validation_metrics
+from pwm_gym.files import write_atomically
 from pwm_gym.planning import Agent
 from pwm_gym.process import prepare_process
 from pwm_gym.seeds import seed_range
@@ -235,14 +235,17 @@ def trained(table: str, row: str, data: Path, out: Path, task: str) -> Path:
         out: folder of the pieces.
         task: registered task.
     """
-    found = next(r for r in TABLES[table].rows if r.name == row)
-    return _fit(_Piece(found, found.seeds[0], data, out, task, describe_commit()))
+    return _fit(_first_piece(table, row, data, out, task))
 
 
 def row_folder(table: str, row: str, data: Path, out: Path, task: str) -> Path:
     """Folder of a table's row (its first seed), named after all that decides it. Arguments as of :func:`trained`."""
+    return _first_piece(table, row, data, out, task).folder
+
+
+def _first_piece(table: str, row: str, data: Path, out: Path, task: str) -> _Piece:
     found = next(r for r in TABLES[table].rows if r.name == row)
-    return _Piece(found, found.seeds[0], data, out, task, None).folder
+    return _Piece(found, found.seeds[0], data, out, task, describe_commit())
 
 
 def _fit(piece: _Piece) -> Path:
@@ -285,14 +288,10 @@ def _run(piece: _Piece) -> None:
     write_atomically(piece.result, json.dumps(result, default=float).encode())
 
 
-def _planning(model: Any, task: Task, episodes: int) -> dict[str, Any]:
+def _planning(model: WorldModel, task: Task, episodes: int) -> dict[str, Any]:
     """Closed-loop planning of the test seeds in the simulator."""
-    import gymnasium as gym
-
-    env = gym.make(f"pwm/{task.name}Sim-v0")
-    runs = run_episodes(env, Agent(model, task.name), seed_range("plan_test", episodes), progress=False)
-    env.close()
-    return planning_table(runs)
+    agent = Agent(model, task.name)
+    return planning_table(run_in_simulator(task, agent, seed_range("plan_test", episodes), progress=False))
 
 
 def _joined(row: Row, runs: list[dict[str, Any]], moved: str) -> dict[str, Any]:

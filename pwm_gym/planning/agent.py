@@ -99,15 +99,20 @@ class Agent:
 
     @torch.no_grad()
     def terms(self, states: State, actions: np.ndarray) -> dict[str, np.ndarray]:
-        """The cost of states (T,) after actions (T, A), by term, each (T,)."""
-        return self.objective.terms(states, torch.as_tensor(actions, device=self.device), self._goal[:1])
+        """The planning cost's weighted terms, each (T,), in states (T,) after actions (T, A)."""
+        points, info = self._seen(states, actions)
+        return {name: value.cpu().numpy() for name, value in self.cost.evaluate(points, info).items()}
 
     @torch.no_grad()
     def rewards(self, states: State, actions: np.ndarray) -> np.ndarray:
         """The task's rewards (T,) in states (T,) after actions (T, A)."""
-        command = torch.as_tensor(actions, device=self.device)
-        points, info = cost_info(states, command, self._goal[:1].expand(len(command), -1), self.objective.grasp)
+        points, info = self._seen(states, actions)
         return -get_cost(self.task.cost)(points, info).cpu().numpy()
+
+    def _seen(self, states: State, actions: np.ndarray) -> tuple[Mapping[str, Tensor], dict[str, Any]]:
+        """What a cost reads of states (T,) after actions (T, A), for the first goal."""
+        command = torch.as_tensor(actions, device=self.device)
+        return cost_info(states, command, self._goal[:1].expand(len(command), -1), self.objective.grasp)
 
     def describe(self) -> dict[str, Any]:
         """What it plans with: model, planner and cost by name."""

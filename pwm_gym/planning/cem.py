@@ -34,33 +34,29 @@ class CEMConfig(SamplingConfig):
     best: bool = False
     """Whether the plan is the cheapest sequence of all, or else the last distribution's mean."""
 
+    def check(self, action_size: int) -> None:
+        """Refuse what cannot be, for actions of ``action_size`` dimensions.
+
+        Raises:
+            PwmGymError: naming the setting and what was expected.
+        """
+        super().check(action_size)
+        for name in ("inertia", "floor", "kept"):
+            if not 0.0 <= getattr(self, name) <= 1.0:
+                raise PwmGymError(f"{name}={getattr(self, name)}; expected 0 to 1")
+        if self.shrink < 1.0:
+            raise PwmGymError(f"shrink={self.shrink}; expected at least 1")
+
     @classmethod
     def icem(cls, horizon: int = 10) -> CEMConfig:
         """iCEM: coloured noise, elites that are kept, ever fewer samples, the best sequence."""
         return cls(horizon=horizon, finest=(1.0,), colour=2.0, shrink=1.25, kept=0.3, best=True)
 
 
-class CEM(SamplingPlanner):
-    """Fits a normal distribution to the cheapest samples, and samples from it anew.
+class CEM(SamplingPlanner[CEMConfig]):
+    """Fits a normal distribution to the cheapest samples, and samples from it anew."""
 
-    Args:
-        config: settings.
-        action_size: A.
-        device: where the plans live.
-
-    Raises:
-        PwmGymError: a setting that cannot be.
-    """
-
-    def __init__(self, config: CEMConfig, action_size: int, device: torch.device | str = "cpu") -> None:
-        super().__init__(config, action_size, device)
-        for name in ("inertia", "floor", "kept"):
-            if not 0.0 <= getattr(config, name) <= 1.0:
-                raise PwmGymError(f"{name}={getattr(config, name)}; expected 0 to 1")
-        if config.shrink < 1.0:
-            raise PwmGymError(f"shrink={config.shrink}; expected at least 1")
-        self.config = config
-        self._elites: Tensor | None = None  # (B, K, H, A)
+    _elites: Tensor | None = None  # (B, K, H, A)
 
     def reset(self) -> None:
         """Forget the last plan and its elites."""

@@ -8,12 +8,11 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
-import torch
 
 from pwm_gym.errors import PwmGymError
 from pwm_gym.planning.agent import Agent
 from pwm_gym.planning.run import Run
-from pwm_gym.scene import Scene, State, batch_state
+from pwm_gym.scene import Scene, State, batch_state, stack
 from pwm_gym.scene.se3 import pose7_from_matrix
 
 __all__ = ["execute"]
@@ -67,26 +66,27 @@ def execute(
         scenes.append(base.scene())
         if terminated or truncated:
             break
-    taken, foreseen = np.stack(actions), _joined(predicted)
+    judged = _judged(agent, scenes, stack([s[0] for s in predicted], 0), np.stack(actions))
     return Run(
         start=scenes[0],
         seed=seed,
         success=bool(info["success"]),
-        actions=taken,
+        actions=np.stack(actions),
         rewards=np.array(rewards),
         plan_seconds=np.array(seconds),
         poses=np.stack([s.poses[0] for s in scenes]),
-        predicted=pose7_from_matrix(foreseen.poses().double().cpu()).numpy(),
-        predicted_rewards=agent.rewards(foreseen, taken),
-        terms=agent.terms(batch_state(scenes[1:], agent.device), taken),
-        predicted_terms=agent.terms(foreseen, taken),
         chunk=chunk,
         at_reset=at_reset,
         settings=agent.describe(),
+        **judged,
     )
 
 
-def _joined(states: list[State]) -> State:
-    """One state (T,) of T states (1,)."""
-    parts = iter([torch.cat(tensors) for tensors in zip(*(s.tensors for s in states), strict=True)])
-    return states[0].map(lambda _: next(parts))
+def _judged(agent: Agent, scenes: list[Scene], predicted: State, actions: np.ndarray) -> dict[str, Any]:
+    """Predicted poses, and the costs of predicted states (T,) and real scenes (T + 1), as fields of a run."""
+    return {
+        "predicted": pose7_from_matrix(predicted.poses().double().cpu()).numpy(),
+        "predicted_rewards": agent.rewards(predicted, actions),
+        "terms": agent.terms(batch_state(scenes[1:], agent.device), actions),
+        "predicted_terms": agent.terms(predicted, actions),
+    }

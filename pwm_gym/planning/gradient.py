@@ -26,24 +26,19 @@ class GradientConfig(SamplingConfig):
     rate: float = 0.05
     """Adam's learning rate, in action units."""
 
+    def check(self, action_size: int) -> None:
+        """Refuse what cannot be, for actions of ``action_size`` dimensions.
 
-class GradientPlanner(SamplingPlanner):
-    """Adam on the cheapest of some samples; the plan is the cheapest sequence that was met.
+        Raises:
+            PwmGymError: naming the setting and what was expected.
+        """
+        super().check(action_size)
+        if not self.rate > 0.0:
+            raise PwmGymError(f"rate={self.rate}; expected more than 0")
 
-    Args:
-        config: settings.
-        action_size: A.
-        device: where the plans live.
 
-    Raises:
-        PwmGymError: a setting that cannot be.
-    """
-
-    def __init__(self, config: GradientConfig, action_size: int, device: torch.device | str = "cpu") -> None:
-        super().__init__(config, action_size, device)
-        if not config.rate > 0.0:
-            raise PwmGymError(f"rate={config.rate}; expected more than 0")
-        self.config = config
+class GradientPlanner(SamplingPlanner[GradientConfig]):
+    """Adam on the cheapest of some samples; the plan is the cheapest sequence that was met."""
 
     def _improve(self, mean: Tensor, objective: Objective, generator: torch.Generator) -> Tensor:
         c = self.config

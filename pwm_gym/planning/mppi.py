@@ -22,6 +22,16 @@ class MPPIConfig(SamplingConfig):
     relative: bool = True
     """Whether the temperature is in units of the elites' cost spread."""
 
+    def check(self, action_size: int) -> None:
+        """Refuse what cannot be, for actions of ``action_size`` dimensions.
+
+        Raises:
+            PwmGymError: naming the setting and what was expected.
+        """
+        super().check(action_size)
+        if not self.temperature > 0.0:
+            raise PwmGymError(f"temperature={self.temperature}; expected more than 0")
+
     @classmethod
     def paper(cls, horizon: int = 10) -> MPPIConfig:
         """The paper's table; sigma 5 on actions in [-1, 1] saturates most samples."""
@@ -38,23 +48,8 @@ class MPPIConfig(SamplingConfig):
         )
 
 
-class MPPI(SamplingPlanner):
-    """The cheapest samples' mean, each weighted by ``exp(-cost / temperature)``.
-
-    Args:
-        config: settings.
-        action_size: A.
-        device: where the plans live.
-
-    Raises:
-        PwmGymError: a setting that cannot be.
-    """
-
-    def __init__(self, config: MPPIConfig, action_size: int, device: torch.device | str = "cpu") -> None:
-        super().__init__(config, action_size, device)
-        if not config.temperature > 0.0:
-            raise PwmGymError(f"temperature={config.temperature}; expected more than 0")
-        self.config = config
+class MPPI(SamplingPlanner[MPPIConfig]):
+    """The cheapest samples' mean, each weighted by ``exp(-cost / temperature)``."""
 
     def _improve(self, mean: Tensor, objective: Objective, generator: torch.Generator) -> Tensor:
         for _ in range(self.config.iterations):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -81,11 +80,6 @@ class RolloutObjective:
             costs = costs + self.caution * flat.error.sum(-1)
         costs = costs.view(batch, samples, horizon)
         return costs.sum(-1) + self.terminal * costs[..., -1]
-
-    def terms(self, states: State, actions: Tensor, goal: Tensor) -> dict[str, np.ndarray]:
-        """The cost's weighted terms, each (T,), in states (T,) after actions (T, A), for a goal (1, G)."""
-        points, info = cost_info(states, actions, goal.expand(len(actions), -1), self.grasp)
-        return {name: value.cpu().numpy() for name, value in self.cost.evaluate(points, info).items()}
 
 
 def _repeat(value: Tensor, times: int) -> Tensor:

@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import io
-import json
-import zipfile
-import zlib
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -13,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from pwm_gym.errors import PwmGymError
+from pwm_gym.files import load_arrays, save_arrays
 from pwm_gym.scene import Scene
 from pwm_gym.scene.layout import Layout
 
@@ -103,9 +100,7 @@ class Run:
         arrays: dict[str, Any] = {name: getattr(self, name) for name in _ARRAYS}
         both = [source[name] for source in (self.terms, self.predicted_terms) for name in self.terms]
         arrays["terms"] = np.stack(both) if both else np.empty(0)
-        buffer = io.BytesIO()
-        np.savez_compressed(buffer, header=np.array(json.dumps(header)), **arrays, **start)
-        Path(path).write_bytes(buffer.getvalue())
+        save_arrays(path, {**arrays, **start}, header)
 
     @classmethod
     def load(cls, path: str | Path) -> Run:
@@ -114,28 +109,15 @@ class Run:
         Raises:
             PwmGymError: the file is missing, truncated or not a run.
         """
+        complaint = "is not a run's file"
+        found, header = load_arrays(path, complaint, PwmGymError, "pwm_gym.run")
         try:
-            with np.load(path, allow_pickle=False) as file:
-                header = json.loads(str(file["header"]))
-                if header.get("format") != "pwm_gym.run":
-                    raise PwmGymError(f"{path} has format {header.get('format')!r}; expected 'pwm_gym.run'")
-                arrays = {name: file[name] for name in _ARRAYS}
-                start = {k.removeprefix(_START): file[k] for k in file.files if k.startswith(_START)}
-                values, names = file["terms"], header["terms"]
-                facts = {name: header[name] for name in (*_FACTS, "settings")}
-                scene = Scene(task=header["task"], layout=Layout.from_json(header["layout"]), **start)
-                terms, predicted = (
-                    {name: values[i] for i, name in enumerate(names, first)} for first in (0, len(names))
-                )
-        except (
-            KeyError,
-            IndexError,
-            TypeError,
-            ValueError,
-            OSError,
-            EOFError,
-            zipfile.BadZipFile,
-            zlib.error,
-        ) as error:
-            raise PwmGymError(f"{path} is not a run's file ({error})") from error
+            arrays: dict[str, Any] = {name: found[name] for name in _ARRAYS}
+            start: dict[str, Any] = {k.removeprefix(_START): v for k, v in found.items() if k.startswith(_START)}
+            values, names = found["terms"], header["terms"]
+            facts = {name: header[name] for name in (*_FACTS, "settings")}
+            scene = Scene(task=header["task"], layout=Layout.from_json(header["layout"]), **start)
+            terms, predicted = ({name: values[i] for i, name in enumerate(names, k)} for k in (0, len(names)))
+        except (KeyError, IndexError, TypeError) as error:
+            raise PwmGymError(f"{path} {complaint} ({error})") from error
         return cls(start=scene, **facts, **arrays, terms=terms, predicted_terms=predicted)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Protocol
+from dataclasses import dataclass, replace
+from typing import Generic, Protocol, Self, TypeVar
 
 import torch
 from torch import Tensor
@@ -60,8 +60,35 @@ class SamplingConfig:
     iterations: int = 1
     """Rounds of sampling around the improved mean."""
 
+    def resize(self, samples: int) -> Self:
+        """The same settings with so many samples, and elites in proportion."""
+        return replace(self, samples=samples, elites=max(1, round(self.elites * samples / self.samples)))
 
-class SamplingPlanner(ABC):
+    def check(self, action_size: int) -> None:
+        """Refuse what cannot be, for actions of ``action_size`` dimensions.
+
+        Raises:
+            PwmGymError: naming the setting and what was expected.
+        """
+        for name in ("sigma", "finest", "correlation", "bound"):
+            count = len(getattr(self, name))
+            if count not in (1, action_size):
+                raise PwmGymError(f"{name} has {count} values; expected 1 or {action_size}")
+        for name in ("horizon", "iterations"):
+            if getattr(self, name) < 1:
+                raise PwmGymError(f"{name}={getattr(self, name)}; expected at least 1")
+        if not all(0.0 < b <= 1.0 for b in self.bound):
+            raise PwmGymError(f"bound={self.bound}; expected more than 0 and at most 1")
+        if self.stops < 0:
+            raise PwmGymError(f"stops={self.stops}; expected 0 or more")
+        if not 1 <= self.elites <= self.samples:
+            raise PwmGymError(f"elites={self.elites}; expected 1 to samples={self.samples}")
+
+
+Config = TypeVar("Config", bound=SamplingConfig)
+
+
+class SamplingPlanner(ABC, Generic[Config]):
     """Samples around the last plan, and makes the next one of the cheapest samples.
 
     Args:
@@ -73,22 +100,9 @@ class SamplingPlanner(ABC):
         PwmGymError: a setting that cannot be.
     """
 
-    def __init__(self, config: SamplingConfig, action_size: int, device: torch.device | str = "cpu") -> None:
-        for name in ("sigma", "finest", "correlation", "bound"):
-            count = len(getattr(config, name))
-            if count not in (1, action_size):
-                raise PwmGymError(f"{name} has {count} values; expected 1 or {action_size}")
-        for name in ("horizon", "iterations"):
-            if getattr(config, name) < 1:
-                raise PwmGymError(f"{name}={getattr(config, name)}; expected at least 1")
-        if not all(0.0 < b <= 1.0 for b in config.bound):
-            raise PwmGymError(f"bound={config.bound}; expected more than 0 and at most 1")
-        if config.stops < 0:
-            raise PwmGymError(f"stops={config.stops}; expected 0 or more")
-        if not 1 <= config.elites <= config.samples:
-            raise PwmGymError(f"elites={config.elites}; expected 1 to samples={config.samples}")
-        self.action_size = action_size
-        self._settings = config
+    def __init__(self, config: Config, action_size: int, device: torch.device | str = "cpu") -> None:
+        config.check(action_size)
+        self.config, self.action_size = config, action_size
         scale = torch.linspace(0.0, 1.0, config.samples, device=device).unsqueeze(-1)  # of each sample's noise
         finest = torch.tensor(config.finest, device=device)
         self._sigma = torch.tensor(config.sigma, device=device).expand(action_size)
@@ -122,7 +136,7 @@ class SamplingPlanner(ABC):
     def _warm_start(self, batch: int) -> Tensor:
         """The last plan one step on, its last action repeated; a resting arm with an open gripper at first."""
         if self._mean is None or len(self._mean) != batch:
-            rest = torch.zeros(batch, self._settings.horizon, self.action_size, device=self._sigma.device)
+            rest = torch.zeros(batch, self.config.horizon, self.action_size, device=self._sigma.device)
             rest[..., -1] = self._bound[-1]
             return rest
         return torch.cat([self._mean[:, 1:], self._mean[:, -1:]], 1)
@@ -148,7 +162,7 @@ class SamplingPlanner(ABC):
 
     def _noise(self, batch: int, generator: torch.Generator) -> Tensor:
         """Standard normal noise (B, S, H, A), correlated from step to step."""
-        c = self._settings
+        c = self.config
         noise = torch.randn(
             (batch, c.samples, c.horizon, self.action_size), generator=generator, device=self._sigma.device
         )
@@ -170,9 +184,10 @@ def power_law_noise(shape: tuple[int, ...], exponent: float, generator: torch.Ge
     spectrum[..., 0] = spectrum[..., 0].real * 2**0.5  # the mean and, of an even length, the highest one are real
     if horizon % 2 == 0:
         spectrum[..., -1] = spectrum[..., -1].real * 2**0.5
-    power = scale.square()
-    total = power[0] + (power[-1] if horizon % 2 == 0 else 2 * power[-1]) + 2 * power[1:-1].sum()
-    if len(scale) == 1:
-        total = power[0]
+    pairs = torch.full_like(scale, 2.0)  # every other frequency stands for its negative, too
+    pairs[0] = 1.0
+    if horizon % 2 == 0:
+        pairs[-1] = 1.0
+    total = (pairs * scale.square()).sum()
     noise = torch.fft.irfft(spectrum, n=horizon, dim=-1) * horizon / (2.0 * total).sqrt()
     return noise.transpose(-1, -2)

@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import io
-import json
-import zipfile
-import zlib
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
 
 from pwm_gym.errors import SceneError
+from pwm_gym.files import load_arrays, save_arrays
 from pwm_gym.scene.cloud import resample_clouds
 from pwm_gym.scene.layout import Layout
 from pwm_gym.scene.se3 import matrix_from_pose7
@@ -87,29 +83,22 @@ class Scene:
 
     def save(self, path: str | Path) -> None:
         """Write the scene to an ``.npz`` file (arrays and JSON text, no pickle)."""
-        arrays: dict[str, Any] = {k: v for k in _FIELDS if (v := getattr(self, k)) is not None}
+        arrays = {k: v for k in _FIELDS if (v := getattr(self, k)) is not None}
         header = {"format": "pwm_gym.scene", "schema": 1, "task": self.task, "layout": self.layout.to_json()}
-        buffer = io.BytesIO()
-        np.savez_compressed(buffer, header=np.array(json.dumps(header)), **arrays)
-        Path(path).write_bytes(buffer.getvalue())
+        save_arrays(path, arrays, header)
 
     @classmethod
     def load(cls, path: str | Path) -> Scene:
         """Read a scene that :meth:`save` wrote.
 
         Raises:
+            FileNotFoundError: there is no such file.
             SceneError: the file is truncated or not a scene.
         """
-        try:
-            with np.load(path, allow_pickle=False) as file:
-                header = json.loads(str(file["header"]))
-                arrays = {k: file[k] for k in _FIELDS if k in file.files}
-        except FileNotFoundError:
-            raise
-        except (KeyError, TypeError, ValueError, OSError, EOFError, zipfile.BadZipFile, zlib.error) as error:
-            raise SceneError(f"{path} is not a scene file ({error})") from error
-        if header.get("format") != "pwm_gym.scene":
-            raise SceneError(f"{path} has format {header.get('format')!r}; expected 'pwm_gym.scene'")
+        if not Path(path).exists():
+            raise FileNotFoundError(f"{path} does not exist; expected a scene file")
+        found, header = load_arrays(path, "is not a scene file", SceneError, "pwm_gym.scene")
+        arrays = {k: found[k] for k in _FIELDS if k in found}
         if missing := [k for k in _REQUIRED if k not in arrays]:
             raise SceneError(f"{path} is not a scene file (it lacks {', '.join(missing)})")
         return cls(task=header["task"], layout=Layout.from_json(header["layout"]), **arrays)

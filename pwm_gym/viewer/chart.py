@@ -240,18 +240,18 @@ def draw_growth(
     """A picture of charts side by side, each of how quantities grow with a size, straight lines, carried on to zero.
 
     Args:
-        panels: name of a size -> label of a curve -> size (a whole number) -> seconds.
+        panels: name of a size -> label of a curve (two at most) -> size (a whole number) -> seconds.
         title: over all of them.
         size: of one chart, pixels.
     """
     width, height = size
     image = Image.new("RGB", (20 + len(panels) * (width + 20), height + 60), (255, 255, 255))
     text(image, (20, 24), title, 17)
-    for k, (name, curves) in enumerate(panels.items()):
-        left = 20 + k * (width + 20)
+    for place, (name, curves) in enumerate(panels.items()):
+        left = 20 + place * (width + 20)
         pitch = float(np.gcd.reduce([round(x) for curve in curves.values() for x in curve]))
         lines = []
-        for (label, known), color in zip(curves.items(), (PREDICTED, TRUE, MUTED), strict=False):
+        for (label, known), color in zip(curves.items(), (PREDICTED, TRUE)[: len(curves)], strict=True):
             sizes = np.arange(0.0, max(known) + 0.5 * pitch, pitch)
             x = np.array(sorted(known))
             y = np.array([known[k] for k in x])

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 import torch
 
+from pwm_gym.costs import cost_info, get_cost, get_grasp
 from pwm_gym.dynamics import build_model
 from pwm_gym.errors import PwmGymError
 from pwm_gym.planning import Agent, MPPIConfig
@@ -94,12 +95,17 @@ def test_it_needs_a_scene_first(agent, scene):
 
 def test_terms_and_rewards_are_those_of_the_costs(agent, scene):
     agent.look(scene)
-    states, actions = batch_state([scene] * 3), np.zeros((3, 7), np.float32)
+    states = agent.advance(np.full(7, 0.5, np.float32))[[0, 0, 0]]
+    actions = np.linspace(0, 1, 21, dtype=np.float32).reshape(3, 7)
+    goals = torch.as_tensor(scene.goal, dtype=torch.float32).expand(3, -1)
+    points, info = cost_info(states, torch.as_tensor(actions), goals, get_grasp(TASK.grasp))
+    expected = get_cost(TASK.plan_cost).evaluate(points, info)
     terms = agent.terms(states, actions)
-    assert terms.keys() == agent.cost.terms.keys() and all(v.shape == (3,) for v in terms.values())
+    assert terms.keys() == expected.keys() == agent.cost.terms.keys()
+    for name, value in expected.items():
+        np.testing.assert_array_equal(terms[name], value.numpy())
     assert sum(abs(v).sum() for v in terms.values()) > 0
-    rewards = agent.rewards(states, actions)
-    assert rewards.shape == (3,) and 0 <= rewards[0] < 0.5
+    np.testing.assert_array_equal(agent.rewards(states, actions), -get_cost(TASK.cost)(points, info).numpy())
 
 
 def test_caution_avoids_what_the_model_is_unsure_of(env, scene):
