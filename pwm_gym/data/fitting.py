@@ -20,8 +20,9 @@ from pwm_gym.data.partial import PartialWindows, visible_split
 from pwm_gym.dynamics.checkpoint import SceneBank, save_checkpoint, use_device
 from pwm_gym.dynamics.model import WorldModel
 from pwm_gym.dynamics.registry import build_model
-from pwm_gym.dynamics.training import TrainConfig, has_state, leads, train
+from pwm_gym.dynamics.training import TrainConfig, train
 from pwm_gym.errors import DatasetError, unknown_name
+from pwm_gym.learning import has_state, leads
 from pwm_gym.tasks import Task, get_task
 
 __all__ = ["BANK", "FitConfig", "fit", "fit_baseline", "fit_error", "scene_bank"]

@@ -2,27 +2,25 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from safetensors import SafetensorError
-from safetensors.torch import load_file, save_file
-from torch import nn
 
 from pwm_gym.dynamics.model import WorldModel
 from pwm_gym.dynamics.registry import build_model, config_of
 from pwm_gym.errors import CheckpointError, unknown_name
-from pwm_gym.files import load_arrays
+from pwm_gym.files import load_arrays, save_arrays
+from pwm_gym.learning import load_weights, read_description, save_weights
 from pwm_gym.robots import Control
 from pwm_gym.scene import Layout, Scene
 
 __all__ = ["SCHEMA", "SHIPPED", "Checkpoint", "SceneBank", "load_checkpoint", "resolve", "save_checkpoint"]
 
 SCHEMA = 1
+_FORMAT = "pwm_gym.checkpoint"
 _KEYS = {"task", "model", "config", "layout", "action_size", "control"}
 _BANK = ("clouds", "poses", "goals", "joints")
 SHIPPED = Path(__file__).parent.parent / "checkpoints"
@@ -69,9 +67,8 @@ def save_checkpoint(
     folder: Path, model: Any, kind: str, bank: SceneBank, training: dict[str, Any], metrics: dict[str, Any]
 ) -> None:
     """Write ``model`` to ``folder``: ``model.safetensors``, ``config.json``, ``scenes.npz``."""
-    folder.mkdir(parents=True, exist_ok=True)
     description = {
-        "format": "pwm_gym.checkpoint",
+        "format": _FORMAT,
         "schema": SCHEMA,
         "task": bank.task,
         "model": kind,
@@ -82,13 +79,9 @@ def save_checkpoint(
         "training": training,
         "metrics": metrics,
     }
-    weights = {k: v.detach().cpu().contiguous() for k, v in model.state_dict().items()}
-    save_file(weights, folder / ".model.safetensors")
     arrays = {k: v for k in _BANK if (v := getattr(bank, k)) is not None}
-    np.savez_compressed(folder / ".scenes.npz", **arrays)
-    (folder / ".config.json").write_text(json.dumps(description, indent=2))
-    for name in ("model.safetensors", "scenes.npz", "config.json"):
-        (folder / f".{name}").replace(folder / name)
+    save_arrays(folder / "scenes.npz", arrays)
+    save_weights(folder, model, description)
 
 
 def resolve(checkpoint: str | Path, task: str) -> Path:
@@ -114,47 +107,16 @@ def load_checkpoint(folder: str | Path, task: str | None = None, device: str = "
         CheckpointError: truncated, foreign, of another task, or of a newer schema.
     """
     folder = Path(folder)
-    description = _description(folder)
+    description = read_description(folder, _FORMAT, SCHEMA, _KEYS)
     if task is not None and description["task"] != task:
         raise CheckpointError(f"{folder} is a checkpoint of task {description['task']!r}; expected {task!r}")
     layout = Layout.from_json(description["layout"])
     control = Control.from_json(description["control"])
     with torch.random.fork_rng(devices=[]):  # fresh weights are drawn only to be replaced
         model = build_model(description["model"], layout, description["action_size"], control, description["config"])
-    _load_weights(model, folder / "model.safetensors")
-    model.eval().requires_grad_(False)
+    load_weights(model, folder)
     bank = _bank(folder / "scenes.npz", description["task"], layout)
     return Checkpoint(model.to(device), description["task"], description["model"], description, bank)  # type: ignore[arg-type]
-
-
-def _description(folder: Path) -> dict[str, Any]:
-    path = folder / "config.json"
-    if not path.exists():
-        raise CheckpointError(f"{folder} is not a checkpoint: it has no config.json")
-    try:
-        description = json.loads(path.read_text())
-    except json.JSONDecodeError as error:
-        raise CheckpointError(f"{path} is truncated or not JSON ({error})") from error
-    found = description.get("format") if isinstance(description, dict) else type(description).__name__
-    if found != "pwm_gym.checkpoint":
-        raise CheckpointError(f"{path} has format {found!r}; expected 'pwm_gym.checkpoint'")
-    if description.get("schema", 0) > SCHEMA:
-        raise CheckpointError(f"{path} has schema {description['schema']}; this version reads up to {SCHEMA}")
-    missing = _KEYS - description.keys()
-    if missing:
-        raise CheckpointError(f"{path} lacks {', '.join(sorted(missing))}")
-    return description
-
-
-def _load_weights(model: nn.Module, path: Path) -> None:
-    try:
-        weights = load_file(path)
-    except (SafetensorError, OSError) as error:
-        raise CheckpointError(f"{path} is truncated or not safetensors ({error})") from error
-    try:
-        model.load_state_dict(weights)
-    except RuntimeError as error:
-        raise CheckpointError(f"{path} does not fit its config.json: {error}") from error
 
 
 def _bank(path: Path, task: str, layout: Layout) -> SceneBank:

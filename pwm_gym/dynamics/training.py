@@ -1,32 +1,23 @@
-"""Multi-step supervised training of world models (paper, section 3, "Training Objective").
-
-Every batch, and a network's own randomness, is a pure function of (seed, step, rank), so a killed run resumes to the
-same result. Several processes (``torchrun``) share the work through PyTorch's DistributedDataParallel.
-"""
+"""Multi-step supervised training of world models (paper, section 3, "Training Objective")."""
 
 from __future__ import annotations
 
-import os
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
 
 import torch
-import torch.distributed as dist
 from torch import Tensor, nn
 from torch.nn import functional as F
-from tqdm import tqdm
 
 from pwm_gym.dynamics.model import WorldModel
-from pwm_gym.dynamics.optimizers import build_optimizer
-from pwm_gym.errors import CheckpointError, unknown_name
+from pwm_gym.errors import unknown_name
+from pwm_gym.learning import run_training
 from pwm_gym.scene import Layout, RigidState, State
 
-__all__ = ["Batch", "Batches", "TrainConfig", "has_state", "leads", "rollout_loss", "train"]
+__all__ = ["Batch", "Batches", "TrainConfig", "rollout_loss", "train"]
 
-_STATE = "training-state.pt"
 _OPTIMIZERS = ("muon", "adamw")
 _LOSSES = ("huber", "hybrid")
 _SCHEDULES = ("cosine", "step")
@@ -244,153 +235,9 @@ def train(
         save: writes a checkpoint of a model with its metrics.
         progress: whether to show a bar.
     """
-    torch.set_num_threads(config.threads)
-    run = _Run(model.to(config.device), config, folder)
-    metrics: dict[str, float] = {}
-    with tqdm(total=config.steps, initial=run.step, disable=not (progress and run.leads), desc="train") as bar:
-        while run.step < config.steps:
-            loss = run.update(batches)
-            bar.update()
-            if run.step % 50 == 0:
-                run.log({"train/loss": loss, "train/horizon": config.phase(run.step)[0]})
-                bar.set_postfix(loss=f"{loss:.4f}", **{k: f"{v:.4f}" for k, v in metrics.items()})
-            if run.step % config.validate_every == 0 or run.step == config.steps:
-                metrics = run.checkpoint(validate, save)
-            elif run.step % config.save_every == 0:
-                run.save_state()
-    run.finish()
-    return metrics
 
+    def draw(generator: torch.Generator, step: int, processes: int) -> Batch:
+        horizon, size = config.phase(step)
+        return batches.sample(generator, max(1, size // processes), horizon)
 
-def leads() -> bool:
-    """Whether this is the first of the processes that train together: it alone validates and writes."""
-    return int(os.environ.get("RANK", 0)) == 0
-
-
-def has_state(folder: Path) -> bool:
-    """Whether a run in ``folder`` can be resumed."""
-    return (folder / _STATE).exists()
-
-
-class _Run:
-    """One training run: optimiser, averaged weights, step count, and their state on disk."""
-
-    def __init__(self, model: nn.Module, config: TrainConfig, folder: Path) -> None:
-        self.config, self.folder, self.model, self.step = config, folder, model, 0
-        self.rank, self.world = int(os.environ.get("RANK", 0)), int(os.environ.get("WORLD_SIZE", 1))
-        self.leads = leads()
-        if self.world > 1 and not dist.is_initialized():
-            dist.init_process_group("nccl" if config.device.startswith("cuda") else "gloo")
-        self.loss: nn.Module = _RolloutLoss(model, config)
-        if self.world > 1:
-            self.loss = nn.parallel.DistributedDataParallel(self.loss)
-        self.optimizer = build_optimizer(
-            model, config.learning_rate, config.weight_decay, muon=config.optimizer == "muon"
-        )
-        self.average = {k: v.detach().clone() for k, v in model.state_dict().items()}
-        folder.mkdir(parents=True, exist_ok=True)
-        self._resume()
-        self._writer: Any = None
-        self.started = time.time()
-
-    def _resume(self) -> None:
-        path = self.folder / _STATE
-        if not path.exists():
-            return
-        try:
-            state = torch.load(path, map_location=self.config.device, weights_only=True)
-        except Exception as error:
-            raise CheckpointError(f"{path} is truncated or foreign ({error}); delete it to start anew") from error
-        if state["config"] != repr(self.config):
-            raise CheckpointError(f"{path} was written with {state['config']}; expected {self.config!r}")
-        self.model.load_state_dict(state["model"])
-        self.optimizer.load_state_dict(state["optimizer"])
-        self.average, self.step = state["average"], state["step"]
-
-    def update(self, batches: Batches) -> float:
-        """One optimiser step; returns its loss."""
-        horizon, size = self.config.phase(self.step)
-        seed = (self.config.seed * 1_000_003 + self.step) * 1_009 + self.rank
-        generator = torch.Generator().manual_seed(seed)
-        torch.manual_seed(seed)  # of a network's own randomness
-        batch = batches.sample(generator, max(1, size // self.world), horizon)
-        batch = batch.to(self.config.device)
-        self.optimizer.set_learning_rate(self._learning_rate())
-        self.model.train()
-        self.optimizer.zero_grad()
-        loss = self.loss(batch)
-        loss.backward()
-        nn.utils.clip_grad_norm_(self.model.parameters(), self.config.gradient_clip)
-        self.optimizer.step()
-        self.step += 1
-        self._fold_average()
-        return float(loss.detach())
-
-    def _learning_rate(self) -> float:
-        c = self.config
-        if c.schedule == "step":
-            return c.learning_rate * c.gamma ** (self.step // c.epoch_steps // c.step_size)
-        warm = min(1.0, (self.step + 1) / 200)
-        done = torch.tensor(self.step / c.steps * torch.pi)
-        return c.learning_rate * warm * (0.01 + 0.99 * 0.5 * (1 + float(torch.cos(done))))
-
-    @torch.no_grad()
-    def _fold_average(self) -> None:
-        decay = min(self.config.average, self.step / (self.step + 10))
-        for name, value in self.model.state_dict().items():
-            if value.is_floating_point():
-                self.average[name].lerp_(value, 1.0 - decay)
-            else:
-                self.average[name].copy_(value)
-
-    def log(self, values: dict[str, float]) -> None:
-        """Append to the TensorBoard curves (the first process alone)."""
-        if not self.leads:
-            return
-        if self._writer is None:
-            from torch.utils.tensorboard import SummaryWriter
-
-            self._writer = SummaryWriter(str(self.folder / "tensorboard"), purge_step=self.step)
-        for name, value in values.items():
-            self._writer.add_scalar(name, value, self.step)
-
-    def checkpoint(
-        self, validate: Callable[[Any], dict[str, float]], save: Callable[[nn.Module, dict[str, float]], None]
-    ) -> dict[str, float]:
-        """Validate and save the averaged weights, and the state to resume from."""
-        if not self.leads:
-            return {}
-        last = {k: v.detach().clone() for k, v in self.model.state_dict().items()}
-        self.model.load_state_dict(self.average)
-        self.model.eval()
-        metrics = validate(self.model)
-        save(self.model, metrics)
-        self.model.load_state_dict(last)
-        self.log({f"validation/{k}": v for k, v in metrics.items()})
-        self.save_state()
-        return metrics
-
-    def save_state(self) -> None:
-        """Save what a killed run resumes from (the first process alone)."""
-        if not self.leads:
-            return
-        state = {
-            "config": repr(self.config),
-            "model": self.model.state_dict(),
-            "optimizer": self.optimizer.state_dict(),
-            "average": self.average,
-            "step": self.step,
-        }
-        temporary = self.folder / f".{_STATE}"
-        torch.save(state, temporary)
-        temporary.replace(self.folder / _STATE)
-
-    def finish(self) -> None:
-        """Leave the averaged weights in the model and close what is open."""
-        self.model.load_state_dict(self.average)
-        self.model.eval()
-        if self._writer is not None:
-            self._writer.close()
-        if self.world > 1:
-            dist.barrier()
-            dist.destroy_process_group()
+    return run_training(model, _RolloutLoss(model, config), draw, config, folder, validate, save, progress)

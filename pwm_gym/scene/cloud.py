@@ -13,8 +13,9 @@ from pwm_gym.scene.layout import Layout
 if TYPE_CHECKING:
     import trimesh
 
-__all__ = ["resample_clouds", "sample_clouds", "sample_surface"]
+__all__ = ["resample_clouds", "sample_clouds", "sample_surface", "spread"]
 
+_HEIGHT = 5  # of the tree that saves most distances of a few thousand points
 _CANDIDATES = 8  # surface samples per kept point, from which farthest-point sampling chooses
 
 
@@ -44,3 +45,24 @@ def sample_clouds(meshes: Mapping[str, trimesh.Trimesh], layout: Layout, seed: i
 def resample_clouds(clouds: np.ndarray, full: Layout, layout: Layout) -> np.ndarray:
     """Coarser canonical points of ``layout`` from those of ``full``: each entity's first points."""
     return np.concatenate([clouds[f.start : f.start + e.points] for f, e in zip(full, layout, strict=True)])
+
+
+def spread(points: np.ndarray, count: int, rng: np.random.Generator | None = None) -> np.ndarray:
+    """``count`` points (count, 3) of a cloud (m, 3) in the order of farthest-point sampling, or all of them repeated.
+
+    Args:
+        points: the cloud.
+        count: how many.
+        rng: chooses four times as many first, where the cloud has more still; without it all count.
+    """
+    import fpsample
+
+    if rng is not None and len(points) > 4 * count:
+        points = points[rng.choice(len(points), 4 * count, replace=False)]
+    points = np.ascontiguousarray(points, np.float32)
+    kept = min(count, len(points))
+    if len(points) < 2**_HEIGHT:
+        order = fpsample.fps_sampling(points, kept, start_idx=0)
+    else:
+        order = fpsample.bucket_fps_kdline_sampling(points, kept, _HEIGHT, start_idx=0)
+    return points[order[np.arange(count) % len(order)]]

@@ -4,7 +4,7 @@ import trimesh
 from scipy.spatial import cKDTree
 
 from pwm_gym.errors import SceneError
-from pwm_gym.scene import Layout, resample_clouds, sample_clouds, sample_surface
+from pwm_gym.scene import Layout, resample_clouds, sample_clouds, sample_surface, spread
 
 HALF = np.array([0.1, 0.05, 0.02])
 
@@ -53,3 +53,20 @@ def test_clouds_of_a_layout_and_their_coarser_form(box):
 def test_a_missing_mesh_is_named(box):
     with pytest.raises(SceneError, match="no mesh for ball; got box"):
         sample_clouds({"box": box}, Layout.build([("box", 5), ("ball", 5)]), seed=0)
+
+
+def test_spread_points_are_the_clouds_own_and_every_prefix_covers_it(box):
+    points = trimesh.sample.sample_surface(box, 900, seed=3)[0].astype(np.float32)
+    chosen = spread(points, 100)
+    assert {tuple(p) for p in chosen} <= {tuple(p) for p in points} and len(np.unique(chosen, axis=0)) == 100
+    for count in (20, 50, 100):
+        assert covering_radius(chosen[:count], points) < 0.85 * covering_radius(points[:count], points)
+    np.testing.assert_array_equal(spread(points, 100), chosen)
+
+
+def test_fewer_points_than_asked_for_are_repeated():
+    points = np.random.default_rng(0).normal(size=(40, 3)).astype(np.float32)
+    more = spread(points, 100)
+    assert more.shape == (100, 3) and len(np.unique(more[:40], axis=0)) == 40
+    np.testing.assert_array_equal(more[40:80], more[:40])
+    assert spread(points[:1], 3).shape == (3, 3)

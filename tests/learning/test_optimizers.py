@@ -4,7 +4,7 @@ import pytest
 import torch
 from torch import nn
 
-from pwm_gym.dynamics.optimizers import build_optimizer
+from pwm_gym.learning import build_optimizer
 
 
 def network():

@@ -1,0 +1,17 @@
+"""What every training shares: the loop, the optimisers and the files of weights. Knows nothing of what is trained."""
+
+from pwm_gym.learning.loop import Recipe, has_state, leads, run_training
+from pwm_gym.learning.optimizers import Optimizer, build_optimizer
+from pwm_gym.learning.weights import load_weights, read_description, save_weights
+
+__all__ = [
+    "Optimizer",
+    "Recipe",
+    "build_optimizer",
+    "has_state",
+    "leads",
+    "load_weights",
+    "read_description",
+    "run_training",
+    "save_weights",
+]

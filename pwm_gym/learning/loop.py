@@ -1,0 +1,262 @@
+"""The loop of every training here: steps, averaged weights, curves, and a state that a killed run resumes from.
+
+Every batch, and a network's own randomness, is a pure function of (seed, step, rank), so a killed run resumes to the
+same result. Several processes (``torchrun``) share the work through PyTorch's DistributedDataParallel.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Protocol
+
+import torch
+import torch.distributed as dist
+from torch import nn
+from tqdm import tqdm
+
+from pwm_gym.errors import CheckpointError
+from pwm_gym.learning.optimizers import build_optimizer
+
+__all__ = ["Draw", "Recipe", "has_state", "leads", "run_training"]
+
+_STATE = "training-state.pt"
+
+Draw = Callable[[torch.Generator, int, int], Any]
+"""(generator, step, processes) -> this process's batch, which has ``to(device)``."""
+
+
+class Recipe(Protocol):
+    """How to train: the settings that the loop reads."""
+
+    @property
+    def steps(self) -> int:
+        """Optimiser steps in all."""
+
+    @property
+    def optimizer(self) -> str:
+        """ "muon" or "adamw"."""
+
+    @property
+    def learning_rate(self) -> float:
+        """The optimiser's, at its highest."""
+
+    @property
+    def weight_decay(self) -> float:
+        """The optimiser's."""
+
+    @property
+    def schedule(self) -> str:
+        """ "cosine" (to 1 % over the whole run) or "step" (StepLR)."""
+
+    @property
+    def step_size(self) -> int:
+        """StepLR: epochs between drops."""
+
+    @property
+    def gamma(self) -> float:
+        """StepLR: factor of a drop."""
+
+    @property
+    def epoch_steps(self) -> int:
+        """Optimiser steps that StepLR counts as one epoch."""
+
+    @property
+    def gradient_clip(self) -> float:
+        """Largest gradient norm."""
+
+    @property
+    def average(self) -> float:
+        """Decay of the weights' moving average, which is what is saved; 0 saves the last weights."""
+
+    @property
+    def seed(self) -> int:
+        """Initial weights and batches."""
+
+    @property
+    def threads(self) -> int:
+        """PyTorch threads a process."""
+
+    @property
+    def validate_every(self) -> int:
+        """Optimiser steps between validations."""
+
+    @property
+    def save_every(self) -> int:
+        """Optimiser steps between saves of the state that a killed run resumes from."""
+
+    @property
+    def device(self) -> str:
+        """PyTorch device."""
+
+
+def run_training(
+    model: nn.Module,
+    loss: nn.Module,
+    draw: Draw,
+    recipe: Recipe,
+    folder: Path,
+    validate: Callable[[Any], dict[str, float]],
+    save: Callable[[nn.Module, dict[str, float]], None],
+    progress: bool = True,
+) -> dict[str, float]:
+    """Train ``model`` and return the last validation's metrics (empty in all processes but the first).
+
+    Args:
+        model: it is changed in place and holds the averaged weights at the end.
+        loss: batch -> scalar; the model is a part of it.
+        draw: this process's batch of a step.
+        recipe: settings.
+        folder: TensorBoard curves and the training state; a state found there is resumed.
+        validate: metrics of a model.
+        save: writes a checkpoint of a model with its metrics.
+        progress: whether to show a bar.
+    """
+    torch.set_num_threads(recipe.threads)
+    run = _Run(model.to(recipe.device), loss, recipe, folder)
+    metrics: dict[str, float] = {}
+    with tqdm(total=recipe.steps, initial=run.step, disable=not (progress and run.leads), desc="train") as bar:
+        while run.step < recipe.steps:
+            value = run.update(draw)
+            bar.update()
+            if run.step % 50 == 0:
+                run.log({"train/loss": value})
+                bar.set_postfix(loss=f"{value:.4f}", **{k: f"{v:.4f}" for k, v in metrics.items()})
+            if run.step % recipe.validate_every == 0 or run.step == recipe.steps:
+                metrics = run.checkpoint(validate, save)
+            elif run.step % recipe.save_every == 0:
+                run.save_state()
+    run.finish()
+    return metrics
+
+
+def leads() -> bool:
+    """Whether this is the first of the processes that train together: it alone validates and writes."""
+    return int(os.environ.get("RANK", 0)) == 0
+
+
+def has_state(folder: Path) -> bool:
+    """Whether a run in ``folder`` can be resumed."""
+    return (folder / _STATE).exists()
+
+
+class _Run:
+    """One training run: optimiser, averaged weights, step count, and their state on disk."""
+
+    def __init__(self, model: nn.Module, loss: nn.Module, config: Recipe, folder: Path) -> None:
+        self.config, self.folder, self.model, self.step = config, folder, model, 0
+        self.rank, self.world = int(os.environ.get("RANK", 0)), int(os.environ.get("WORLD_SIZE", 1))
+        self.leads = leads()
+        if self.world > 1 and not dist.is_initialized():
+            dist.init_process_group("nccl" if config.device.startswith("cuda") else "gloo")
+        self.loss = loss
+        if self.world > 1:
+            self.loss = nn.parallel.DistributedDataParallel(self.loss)
+        self.optimizer = build_optimizer(
+            model, config.learning_rate, config.weight_decay, muon=config.optimizer == "muon"
+        )
+        self.average = {k: v.detach().clone() for k, v in model.state_dict().items()}
+        folder.mkdir(parents=True, exist_ok=True)
+        self._resume()
+        self._writer: Any = None
+
+    def _resume(self) -> None:
+        path = self.folder / _STATE
+        if not path.exists():
+            return
+        try:
+            state = torch.load(path, map_location=self.config.device, weights_only=True)
+        except Exception as error:
+            raise CheckpointError(f"{path} is truncated or foreign ({error}); delete it to start anew") from error
+        if state["config"] != repr(self.config):
+            raise CheckpointError(f"{path} was written with {state['config']}; expected {self.config!r}")
+        self.model.load_state_dict(state["model"])
+        self.optimizer.load_state_dict(state["optimizer"])
+        self.average, self.step = state["average"], state["step"]
+
+    def update(self, draw: Draw) -> float:
+        """One optimiser step; returns its loss."""
+        seed = (self.config.seed * 1_000_003 + self.step) * 1_009 + self.rank
+        generator = torch.Generator().manual_seed(seed)
+        torch.manual_seed(seed)  # of a network's own randomness
+        batch = draw(generator, self.step, self.world).to(self.config.device)
+        self.optimizer.set_learning_rate(self._learning_rate())
+        self.model.train()
+        self.optimizer.zero_grad()
+        loss = self.loss(batch)
+        loss.backward()
+        nn.utils.clip_grad_norm_(self.model.parameters(), self.config.gradient_clip)
+        self.optimizer.step()
+        self.step += 1
+        self._fold_average()
+        return float(loss.detach())
+
+    def _learning_rate(self) -> float:
+        c = self.config
+        if c.schedule == "step":
+            return c.learning_rate * c.gamma ** (self.step // c.epoch_steps // c.step_size)
+        warm = min(1.0, (self.step + 1) / 200)
+        done = torch.tensor(self.step / c.steps * torch.pi)
+        return c.learning_rate * warm * (0.01 + 0.99 * 0.5 * (1 + float(torch.cos(done))))
+
+    @torch.no_grad()
+    def _fold_average(self) -> None:
+        decay = min(self.config.average, self.step / (self.step + 10))
+        for name, value in self.model.state_dict().items():
+            if value.is_floating_point():
+                self.average[name].lerp_(value, 1.0 - decay)
+            else:
+                self.average[name].copy_(value)
+
+    def log(self, values: dict[str, float]) -> None:
+        """Append to the TensorBoard curves (the first process alone)."""
+        if not self.leads:
+            return
+        if self._writer is None:
+            from torch.utils.tensorboard import SummaryWriter
+
+            self._writer = SummaryWriter(str(self.folder / "tensorboard"), purge_step=self.step)
+        for name, value in values.items():
+            self._writer.add_scalar(name, value, self.step)
+
+    def checkpoint(
+        self, validate: Callable[[Any], dict[str, float]], save: Callable[[nn.Module, dict[str, float]], None]
+    ) -> dict[str, float]:
+        """Validate and save the averaged weights, and the state to resume from."""
+        if not self.leads:
+            return {}
+        last = {k: v.detach().clone() for k, v in self.model.state_dict().items()}
+        self.model.load_state_dict(self.average)
+        self.model.eval()
+        metrics = validate(self.model)
+        save(self.model, metrics)
+        self.model.load_state_dict(last)
+        self.log({f"validation/{k}": v for k, v in metrics.items()})
+        self.save_state()
+        return metrics
+
+    def save_state(self) -> None:
+        """Save what a killed run resumes from (the first process alone)."""
+        if not self.leads:
+            return
+        state = {
+            "config": repr(self.config),
+            "model": self.model.state_dict(),
+            "optimizer": self.optimizer.state_dict(),
+            "average": self.average,
+            "step": self.step,
+        }
+        temporary = self.folder / f".{_STATE}"
+        torch.save(state, temporary)
+        temporary.replace(self.folder / _STATE)
+
+    def finish(self) -> None:
+        """Leave the averaged weights in the model and close what is open."""
+        self.model.load_state_dict(self.average)
+        self.model.eval()
+        if self._writer is not None:
+            self._writer.close()
+        if self.world > 1:
+            dist.barrier()
+            dist.destroy_process_group()
