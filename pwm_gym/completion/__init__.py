@@ -1,0 +1,38 @@
+"""Completion of partial clouds: the network, its training, and the shapes it learns from, random or read from files."""
+
+from pwm_gym.completion.checkpoint import load_completion, save_completion
+from pwm_gym.completion.completer import Completer, Completion, HullCompleter, LearnedCompleter
+from pwm_gym.completion.frame import LEAST, ViewerFrame
+from pwm_gym.completion.meshes import load_meshes, normalise
+from pwm_gym.completion.network import SIZES, CompletionConfig, CompletionNet, get_size
+from pwm_gym.completion.shapes import FAMILIES, MAX_FACES, random_shape
+from pwm_gym.completion.training import CompletionLoss, CompletionRecipe, chamfer_loss, train_completion
+from pwm_gym.completion.views import Batch, ObjectView, ViewConfig, Views
+
+__all__ = [
+    "FAMILIES",
+    "LEAST",
+    "MAX_FACES",
+    "SIZES",
+    "Batch",
+    "Completer",
+    "Completion",
+    "CompletionConfig",
+    "CompletionLoss",
+    "CompletionNet",
+    "CompletionRecipe",
+    "HullCompleter",
+    "LearnedCompleter",
+    "ObjectView",
+    "ViewConfig",
+    "ViewerFrame",
+    "Views",
+    "chamfer_loss",
+    "get_size",
+    "load_completion",
+    "load_meshes",
+    "normalise",
+    "random_shape",
+    "save_completion",
+    "train_completion",
+]

@@ -1,0 +1,46 @@
+"""Checkpoints of the completion network."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from pwm_gym.completion.network import CompletionConfig, CompletionNet
+from pwm_gym.errors import unknown_name
+from pwm_gym.learning import load_weights, read_description, save_weights
+
+__all__ = ["SHIPPED", "load_completion", "save_completion"]
+
+SHIPPED = Path(__file__).parent / "checkpoint"
+"""Folder of the network that comes with the package."""
+_FORMAT, _SCHEMA = "pwm_gym.completion", 1
+
+
+def save_completion(folder: Path, net: CompletionNet, training: dict[str, Any], metrics: dict[str, Any]) -> None:
+    """Write a network to ``folder``: ``model.safetensors`` and ``config.json``."""
+    facts = {"config": asdict(net.config), "training": training, "metrics": metrics}
+    save_weights(folder, net, {"format": _FORMAT, "schema": _SCHEMA, **facts})
+
+
+def load_completion(checkpoint: str | Path = "default") -> tuple[CompletionNet, dict[str, Any]]:
+    """A network that :func:`save_completion` wrote, in evaluation mode, and its description.
+
+    Args:
+        checkpoint: a folder, or "default" for the shipped one.
+
+    Raises:
+        UnknownNameError: there is no such folder.
+        CheckpointError: truncated, foreign, or of a newer schema.
+    """
+    folder = SHIPPED if str(checkpoint) == "default" else Path(checkpoint)
+    if not folder.is_dir():
+        raise unknown_name("checkpoint of completion", str(checkpoint), ["default"])
+    description = read_description(folder, _FORMAT, _SCHEMA, {"config"})
+    sizes: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in description["config"].items()}
+    with torch.random.fork_rng(devices=[]):  # fresh weights are drawn only to be replaced
+        net = CompletionNet(CompletionConfig(**sizes))
+    load_weights(net, folder)
+    return net, description

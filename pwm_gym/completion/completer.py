@@ -1,0 +1,84 @@
+"""Completers: a partial cloud and where it was seen from in, the whole object out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+import torch
+
+from pwm_gym.completion.frame import LEAST, ViewerFrame
+from pwm_gym.completion.network import CompletionNet
+from pwm_gym.errors import PwmGymError
+from pwm_gym.scene import spread
+
+__all__ = ["Completer", "Completion", "HullCompleter", "LearnedCompleter"]
+
+
+@dataclass(frozen=True, eq=False)
+class Completion:
+    """A completed object."""
+
+    points: np.ndarray
+    """(n, 3) float32, metres, in the partial cloud's frame, in the order of farthest-point sampling."""
+    error: float
+    """Expected Chamfer distance from the true surface, metres; NaN where the completer does not tell."""
+
+
+@runtime_checkable
+class Completer(Protocol):
+    """Completes an object's partial cloud."""
+
+    def __call__(self, partial: np.ndarray, eye: np.ndarray, points: int = 2048) -> Completion:
+        """Complete ``partial`` (m, 3), metres, seen from ``eye`` (3,) in the same frame, with so many points.
+
+        Raises:
+            PwmGymError: fewer than 32 points, or points that are not finite.
+        """
+
+
+class LearnedCompleter:
+    """Completion by the network.
+
+    Args:
+        net: trained; it is put into evaluation mode.
+        device: of the network.
+    """
+
+    def __init__(self, net: CompletionNet, device: str = "cpu") -> None:
+        self.net, self.device = net.to(device).eval(), device
+
+    def __call__(self, partial: np.ndarray, eye: np.ndarray, points: int = 2048) -> Completion:
+        """Complete ``partial`` (m, 3), metres, seen from ``eye`` (3,) in the same frame, with so many points."""
+        _check(partial, eye)
+        seen = spread(partial, self.net.config.points[0])
+        frame = ViewerFrame.of(seen, eye)
+        with torch.inference_mode():
+            clouds, doubt = self.net(torch.from_numpy(frame.enter(seen))[None].to(self.device))
+        whole = frame.leave(clouds[-1][0].cpu().numpy())
+        return Completion(spread(whole, points), float(doubt.exp()) * frame.size)
+
+
+class HullCompleter:
+    """The partial cloud's convex hull, with points spread over it: what completion is measured against."""
+
+    def __call__(self, partial: np.ndarray, eye: np.ndarray, points: int = 2048) -> Completion:
+        """Points on the convex hull of ``partial`` (m, 3)."""
+        import trimesh
+
+        _check(partial, eye)
+        hull = trimesh.PointCloud(partial.astype(np.float64)).convex_hull
+        samples, _ = trimesh.sample.sample_surface(hull, 2 * points, seed=0)
+        return Completion(spread(samples, points), float("nan"))
+
+
+def _check(partial: np.ndarray, eye: np.ndarray) -> None:
+    if np.ndim(partial) != 2 or np.shape(partial)[1] != 3:
+        raise PwmGymError(f"the partial cloud has shape {np.shape(partial)}; expected (m, 3)")
+    if len(partial) < LEAST:
+        raise PwmGymError(f"the partial cloud has {len(partial)} points; expected at least {LEAST}")
+    if not np.isfinite(partial).all():
+        raise PwmGymError(f"the partial cloud holds {int((~np.isfinite(partial)).sum())} values that are not finite")
+    if np.shape(eye) != (3,):
+        raise PwmGymError(f"eye has shape {np.shape(eye)}; expected (3,)")

@@ -1,0 +1,136 @@
+"""Training of the completion network: Chamfer loss at each level (paper, appendix)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from pwm_gym.completion.network import CompletionNet
+from pwm_gym.completion.views import Batch, Views
+from pwm_gym.learning import run_training
+
+__all__ = ["CompletionLoss", "CompletionRecipe", "chamfer_loss", "train_completion"]
+
+
+@dataclass(frozen=True)
+class CompletionRecipe:
+    """How to train. The defaults train the compact network."""
+
+    phases: tuple[tuple[int, int, int], ...] = ((1, 6000, 32), (3, 4000, 24))
+    """(steps of the decoder, optimiser steps, batch size), one after the other: the first levels alone are trained in a
+    fraction of the time."""
+    target: int = 1024
+    """Points of each object's surface in the loss."""
+    doubt_weight: float = 0.05
+    """Weight of the loss of the expected error."""
+    optimizer: str = "muon"
+    """"muon" (on matrices of at least 32 x 32, AdamW on the rest) or "adamw"."""
+    learning_rate: float = 2e-3
+    """The optimiser's, at its highest."""
+    weight_decay: float = 0.01
+    """The optimiser's."""
+    schedule: str = "cosine"
+    """"cosine" (to 1 % over the whole run) or "step" (StepLR)."""
+    step_size: int = 30
+    """StepLR: epochs between drops."""
+    gamma: float = 0.1
+    """StepLR: factor of a drop."""
+    epoch_steps: int = 1000
+    """Optimiser steps that StepLR counts as one epoch."""
+    gradient_clip: float = 1.0
+    """Largest gradient norm."""
+    average: float = 0.998
+    """Decay of the weights' moving average, which is what is saved; 0 saves the last weights."""
+    seed: int = 0
+    """Initial weights and views."""
+    threads: int = 2
+    """PyTorch threads."""
+    validate_every: int = 1000
+    """Optimiser steps between validations; a checkpoint is saved then, too."""
+    save_every: int = 250
+    """Optimiser steps between saves of the state that a killed run resumes from."""
+    device: str = "cpu"
+    """PyTorch device."""
+
+    @property
+    def steps(self) -> int:
+        """Optimiser steps in all."""
+        return sum(steps for _, steps, _ in self.phases)
+
+    def phase(self, step: int) -> tuple[int, int]:
+        """(steps of the decoder, batch size) at ``step``."""
+        for levels, steps, batch in self.phases:
+            if step < steps:
+                return levels, batch
+            step -= steps
+        return self.phases[-1][0], self.phases[-1][2]
+
+
+class CompletionLoss(nn.Module):
+    """Sum of the Chamfer distances of all levels, and the error of the expected one."""
+
+    def __init__(self, net: CompletionNet, doubt_weight: float) -> None:
+        super().__init__()
+        self.net, self.doubt_weight = net, doubt_weight
+
+    def forward(self, batch: Batch) -> Tensor:
+        """Loss of one batch."""
+        clouds, doubt = self.net(batch.partial, batch.steps)
+        gaps = torch.stack([chamfer_loss(cloud, batch.target) for cloud in clouds])  # (levels, B)
+        told = F.smooth_l1_loss(doubt, gaps[-1].detach().log(), beta=0.2)
+        return gaps.sum(0).mean() + self.doubt_weight * told
+
+
+def chamfer_loss(cloud: Tensor, target: Tensor) -> Tensor:
+    """Euclidean Chamfer distance (B,) of clouds (B, n, 3) and (B, m, 3), half of both directions' sum.
+
+    Points that have found their nearest ones are alone in the gradient, and in memory.
+    """
+    with torch.no_grad():
+        gaps = torch.cdist(cloud, target)
+        there, back = gaps.argmin(2), gaps.argmin(1)
+    forward = (cloud - _take(target, there)).square().sum(-1)
+    backward = (target - _take(cloud, back)).square().sum(-1)
+    return 0.5 * ((forward + 1e-12).sqrt().mean(1) + (backward + 1e-12).sqrt().mean(1))
+
+
+def _take(points: Tensor, index: Tensor) -> Tensor:
+    return points.gather(1, index.unsqueeze(-1).expand(-1, -1, 3))
+
+
+def train_completion(
+    net: CompletionNet,
+    views: Views,
+    recipe: CompletionRecipe,
+    folder: Path,
+    validate: Callable[[Any], dict[str, float]],
+    save: Callable[[nn.Module, dict[str, float]], None],
+    progress: bool = True,
+) -> dict[str, float]:
+    """Train ``net`` on random views and return the last validation's metrics.
+
+    Args:
+        net: it is changed in place.
+        views: of the training objects.
+        recipe: how.
+        folder: TensorBoard curves and the training state; a state found there is resumed.
+        validate: metrics of a network.
+        save: writes a checkpoint of a network with its metrics.
+        progress: whether to show a bar.
+    """
+
+    def draw(generator: torch.Generator, step: int, processes: int) -> Batch:
+        steps, size = recipe.phase(step)
+        rng = np.random.default_rng(int(torch.randint(2**62, (), generator=generator)))
+        batch = views.batch(rng, max(1, size // processes), net.config.points[0], recipe.target)
+        return replace(batch, steps=steps)
+
+    loss = CompletionLoss(net, recipe.doubt_weight)
+    return run_training(net, loss, draw, recipe, folder, validate, save, progress)
