@@ -9,6 +9,7 @@ import tyro
 from pwm_gym.commands.bench import Bench
 from pwm_gym.commands.check_cost import CheckCost
 from pwm_gym.commands.collect import Collect
+from pwm_gym.commands.complete import Complete
 from pwm_gym.commands.demo import Demo
 from pwm_gym.commands.envs import Envs
 from pwm_gym.commands.evaluate import Evaluate
@@ -24,6 +25,7 @@ Command = (
     | Annotated[Envs, tyro.conf.subcommand("envs")]
     | Annotated[Collect, tyro.conf.subcommand("collect")]
     | Annotated[Train, tyro.conf.subcommand("train")]
+    | Annotated[Complete, tyro.conf.subcommand("complete")]
     | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
     | Annotated[Plan, tyro.conf.subcommand("plan")]
     | Annotated[View, tyro.conf.subcommand("view")]

@@ -2,6 +2,7 @@
 
 from pwm_gym.completion.checkpoint import load_completion, save_completion
 from pwm_gym.completion.completer import Completer, Completion, HullCompleter, LearnedCompleter
+from pwm_gym.completion.fitting import ObjectSet, fit_completion, random_shapes
 from pwm_gym.completion.frame import LEAST, ViewerFrame
 from pwm_gym.completion.meshes import load_meshes, normalise
 from pwm_gym.completion.network import SIZES, CompletionConfig, CompletionNet, get_size
@@ -23,16 +24,19 @@ __all__ = [
     "CompletionRecipe",
     "HullCompleter",
     "LearnedCompleter",
+    "ObjectSet",
     "ObjectView",
     "ViewConfig",
     "ViewerFrame",
     "Views",
     "chamfer_loss",
+    "fit_completion",
     "get_size",
     "load_completion",
     "load_meshes",
     "normalise",
     "random_shape",
+    "random_shapes",
     "save_completion",
     "train_completion",
 ]

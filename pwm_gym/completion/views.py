@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -93,15 +93,27 @@ class Views:
     Args:
         meshes: objects, centred, with longest side 1.
         config: how they are seen.
+        weights: how often each is drawn, relative to the others; None draws all alike.
+        cleaner: makes points (m, 3) of a sensed depth image in metres, a mask and a camera; None back-projects them.
 
     Raises:
-        PwmGymError: there is no mesh.
+        PwmGymError: there is no mesh, or not one weight for each.
     """
 
-    def __init__(self, meshes: Sequence[trimesh.Trimesh], config: ViewConfig | None = None) -> None:
+    def __init__(
+        self,
+        meshes: Sequence[trimesh.Trimesh],
+        config: ViewConfig | None = None,
+        weights: Sequence[float] | None = None,
+        cleaner: Callable[[np.ndarray, np.ndarray, DepthCamera], np.ndarray] | None = None,
+    ) -> None:
         if not meshes:
             raise PwmGymError("no meshes to view; expected at least one")
-        self.meshes, self.config = list(meshes), config or ViewConfig()
+        if weights is not None and len(weights) != len(meshes):
+            raise PwmGymError(f"{len(weights)} weights of {len(meshes)} meshes; expected one each")
+        self.meshes, self.config, self._cleaner = list(meshes), config or ViewConfig(), cleaner
+        chances = np.ones(len(meshes)) if weights is None else np.asarray(weights, np.float64)
+        self._chances = chances / chances.sum()
         self._casters: dict[int, RayCaster] = {}
         self._surfaces: dict[int, np.ndarray] = {}
 
@@ -137,11 +149,22 @@ class Views:
         if mask.any() and rng.random() < c.occluded:
             mask = occlude(mask, rng.uniform(*c.hidden), rng)
         if rng.random() < c.sensed:
-            depth = get_sensor(c.sensor).apply(depth * size, camera, rng) / size
-        points = camera.back_project(depth)[mask & (depth > 0)]
+            points = self._sensed(depth * size, mask, camera, rng) / size
+        else:
+            points = camera.back_project(depth)[mask]
         if rng.random() < c.jitter:
             points = points + self._jitter(points.shape, rng)
         return ObjectView(points.astype(np.float32), pose)
+
+    def _sensed(self, depth: np.ndarray, mask: np.ndarray, camera: DepthCamera, rng: np.random.Generator) -> np.ndarray:
+        """Points (m, 3) in metres that the sensor sees of a depth image (H, W) in metres."""
+        depth = get_sensor(self.config.sensor).apply(depth, camera, rng)
+        if self._cleaner is None:
+            return camera.back_project(depth)[mask & (depth > 0)]
+        try:
+            return self._cleaner(depth, mask, camera)
+        except PwmGymError:  # too little is left: such a view is drawn again
+            return np.empty((0, 3))
 
     def _jitter(self, shape: tuple[int, ...], rng: np.random.Generator) -> np.ndarray:
         c = self.config
@@ -153,7 +176,7 @@ class Views:
     def batch(self, rng: np.random.Generator, count: int, points: int, target: int) -> Batch:
         """``count`` views of random objects: ``points`` that are seen of each, and ``target`` of its surface."""
         partials, targets = [], []
-        for index in rng.integers(len(self.meshes), size=count):
+        for index in rng.choice(len(self.meshes), size=count, p=self._chances):
             view = self.view(int(index), rng)
             seen = spread(view.partial, points, rng)
             frame = ViewerFrame.of(seen, np.zeros(3))

@@ -1,9 +1,10 @@
-"""From an RGB-D view to clean points of objects: frames, segmenters and the cleaning of depth."""
+"""From an RGB-D view to clean points of objects and their poses: frames, segmenters, cleaning of depth, tracking."""
 
 from pwm_gym.perception.cleaning import Cleaning, clean, clusters, depth_edges, inliers, median_depth
 from pwm_gym.perception.frame import Frame, load_frames
 from pwm_gym.perception.sam3 import Sam3Segmenter
 from pwm_gym.perception.segmenters import HeightGate, IdSegmenter, MaskSegmenter, Segmenter
+from pwm_gym.perception.tracking import Registration, Tracker, TrackingConfig, register
 
 __all__ = [
     "Cleaning",
@@ -11,12 +12,16 @@ __all__ = [
     "HeightGate",
     "IdSegmenter",
     "MaskSegmenter",
+    "Registration",
     "Sam3Segmenter",
     "Segmenter",
+    "Tracker",
+    "TrackingConfig",
     "clean",
     "clusters",
     "depth_edges",
     "inliers",
     "load_frames",
     "median_depth",
+    "register",
 ]

@@ -1,0 +1,151 @@
+"""``pwm-gym complete``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import tyro
+
+from pwm_gym.completion import CompletionRecipe, ObjectSet
+
+if TYPE_CHECKING:
+    from pwm_gym.completion import CompletionNet, ViewConfig
+
+__all__ = ["Complete"]
+
+_VALIDATION = 40  # generated shapes, none of which is trained on
+_CELLS = ("chamfer", "partial", "hull", "floor", "centroid_percent", "better_than_hull")
+
+
+@dataclass(frozen=True)
+class Complete:
+    """Train and measure the completion of partial clouds, or complete one view of a mesh."""
+
+    train: bool = False
+    """Train a network on generated shapes, and on ``--meshes`` if they are given."""
+    evaluate: bool = False
+    """Measure it on new views of the meshes, seen and held out, clean and with sensor and occlusion."""
+    mesh: Path | None = None
+    """A mesh to complete from one random view."""
+    checkpoint: str = "default"
+    """A folder, or "default" for the shipped one; after ``--train`` the trained one."""
+    size: str = "compact"
+    """Network to train: compact or paper."""
+    out: Path = Path("runs/completion")
+    """Folder of the training."""
+    views: int = 20
+    """Views of each object in the evaluation."""
+    view_seed: int = 0
+    """Of the views that are evaluated, or of the one of ``--mesh``."""
+    picture: Path | None = None
+    """PNG: a gallery of the evaluated objects, or of ``--mesh``."""
+    json: Path | None = None
+    """Where to write the results of the evaluation."""
+    objects: Annotated[ObjectSet, tyro.conf.arg(name="")] = field(default_factory=ObjectSet)
+    recipe: Annotated[CompletionRecipe, tyro.conf.arg(name="")] = field(default_factory=CompletionRecipe)
+
+    def run(self) -> None:
+        """Do what is asked for, one after the other."""
+        from pwm_gym.completion import fit_completion, load_completion
+        from pwm_gym.errors import PwmGymError
+        from pwm_gym.process import prepare_process
+
+        if not (self.train or self.evaluate or self.mesh):
+            raise PwmGymError("nothing to do; expected --train, --evaluate or --mesh FILE")
+        prepare_process(self.recipe.threads)
+        checkpoint = self.checkpoint
+        if self.train:
+            validate = _Validation(replace(self.objects, shapes=_VALIDATION, meshes=None))
+            checkpoint = str(fit_completion(self.objects, self.size, self.recipe, self.out, validate))
+            print(f"checkpoint: {checkpoint}")
+        if self.evaluate or self.mesh:
+            net, description = load_completion(checkpoint)
+            if self.evaluate:
+                self._evaluate(net, description)
+            if self.mesh:
+                self._complete(net, self.mesh)
+
+    def _evaluate(self, net: CompletionNet, description: dict[str, Any]) -> None:
+        from pwm_gym.completion import LearnedCompleter, Views
+        from pwm_gym.evaluation import write_results
+        from pwm_gym.evaluation.completion import evaluate_completion
+        from pwm_gym.perception import clean
+
+        rows: dict[str, Any] = {}
+        sets = {"seen": self.objects.read(), "unseen": self.objects.read(seen=False)}
+        for split, meshes in sets.items():
+            for name, config in _conditions().items():
+                if meshes:
+                    views = Views(list(meshes.values()), config, cleaner=clean)
+                    found = evaluate_completion(
+                        LearnedCompleter(net), views, list(meshes), self.views, seed=self.view_seed
+                    )
+                    rows[f"{split}, {name}"] = found
+        _print(rows)
+        if self.picture is not None:
+            self._gallery(net, {name: mesh for meshes in sets.values() for name, mesh in meshes.items()}, self.picture)
+        if self.json is not None:
+            write_results(self.json, {"checkpoint": description["training"], "views": self.views, "rows": rows})
+
+    def _complete(self, net: CompletionNet, path: Path) -> None:
+        from pwm_gym.completion import LearnedCompleter, Views, load_meshes, normalise
+        from pwm_gym.evaluation.completion import evaluate_completion
+
+        meshes = {name: normalise(mesh) for name, mesh in load_meshes(path).items()}
+        views = Views(list(meshes.values()), _conditions()["clean"])
+        _print({path.stem: evaluate_completion(LearnedCompleter(net), views, list(meshes), 1, seed=self.view_seed)})
+        if self.picture is not None:
+            self._gallery(net, meshes, self.picture)
+
+    def _gallery(self, net: CompletionNet, meshes: dict[str, Any], path: Path) -> None:
+        """One view of each object, as it is seen, completed and true."""
+        import numpy as np
+
+        from pwm_gym.completion import LearnedCompleter, Views
+        from pwm_gym.evaluation.completion import score_completion
+        from pwm_gym.scene import spread
+        from pwm_gym.viewer.gallery import GalleryRow, draw_gallery
+
+        completer, rows = LearnedCompleter(net), []
+        views = Views(list(meshes.values()), _conditions()["clean"])
+        for index, name in enumerate(meshes):
+            view = views.view(index, np.random.default_rng([self.view_seed, index, 0]))
+            truth = views.surface(index)[:2048] @ view.pose[:3, :3].T + view.pose[:3, 3]
+            done = completer(view.partial, np.zeros(3)).points
+            label = f"{name}: {1e3 * score_completion(done, truth).chamfer:.0f}"
+            rows.append(GalleryRow(label, (spread(view.partial, 2048), done, truth)))
+        path.parent.mkdir(parents=True, exist_ok=True)
+        draw_gallery(rows, "seen, completed and true; Chamfer distance x 1000").save(path)
+        print(path)
+
+
+class _Validation:
+    """Chamfer distances of generated shapes that are not trained on."""
+
+    def __init__(self, objects: ObjectSet) -> None:
+        from pwm_gym.completion import Views, random_shapes
+
+        self.views = Views(random_shapes(objects.shapes, first=0), _conditions()["clean"])
+
+    def __call__(self, net: Any) -> dict[str, float]:
+        from pwm_gym.completion import LearnedCompleter
+        from pwm_gym.evaluation.completion import evaluate_completion
+
+        names = list(map(str, range(len(self.views.meshes))))
+        found = evaluate_completion(LearnedCompleter(net), self.views, names, 2, progress=False)
+        return {k: found[k] for k in ("chamfer", "partial", "floor", "centroid_percent")}
+
+
+def _conditions() -> dict[str, ViewConfig]:
+    from pwm_gym.completion import ViewConfig
+
+    clean = ViewConfig().clean()
+    return {"clean": clean, "sensor and 30 % hidden": replace(clean, sensed=1.0, occluded=1.0, hidden=(0.3, 0.3))}
+
+
+def _print(rows: dict[str, Any]) -> None:
+    print(f"  {'':32s}" + "".join(f"{cell.replace('_', ' '):>18s}" for cell in _CELLS))
+    for name, row in rows.items():
+        print(f"  {name:32s}" + "".join(f"{row[cell]:18.2f}" for cell in _CELLS))
