@@ -111,8 +111,12 @@ class ModelEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
         """Goal (1, G)."""
         return self.vector.goal
 
-    def scene(self) -> Scene:
-        """The present scene, velocities included: what ``reset(options={"scene": ...})`` takes."""
+    def scene(self, truth: bool = False) -> Scene:
+        """The present scene, velocities included: what ``reset(options={"scene": ...})`` takes.
+
+        Args:
+            truth: no matter here: a model's world is as it shows it.
+        """
         return self.vector.scene()
 
     def reset(

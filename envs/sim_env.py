@@ -23,6 +23,7 @@ from pwm_gym.envs.common import (
     observe,
 )
 from pwm_gym.envs.rendering import SceneRenderer
+from pwm_gym.envs.sight import OBSERVATIONS, Sensing, build_sight
 from pwm_gym.errors import PwmGymError, unknown_name
 from pwm_gym.scene import Entity, RigidState, Scene, batch_state, resample_clouds, sample_clouds
 from pwm_gym.seeds import RANGES
@@ -31,14 +32,14 @@ from pwm_gym.tasks import get_task
 
 __all__ = ["SimEnv"]
 
-_OBSERVATIONS = ("complete",)
-
 
 class SimEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
     """
     ## Description
     The simulator-backed twin of a model environment: the same task, spaces and meaning of actions, with
-    clouds sampled on the simulator's own meshes ("complete" observation).
+    clouds sampled on the simulator's own meshes ("complete" observation), with what one camera sees of
+    them ("partial"), or with what is made of its depth: objects completed and tracked, the robot from its
+    joint angles ("completed").
 
     ## Action space
     As in :class:`pwm_gym.envs.ModelEnv`.
@@ -51,18 +52,21 @@ class SimEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
 
     ## Starting state
     The simulator's initial distribution; `reset(seed=s)` is the simulator's episode of seed s. A scene with
-    joint positions (`env.unwrapped.scene()` of this environment) starts there with
+    joint positions (`env.unwrapped.scene(truth=True)` of this environment) starts there with
     `reset(options={"scene": scene})`.
 
     ## Episode end
     The simulator's own success terminates; `gym.make` adds the time limit.
 
     ## Info
-    `success` (the simulator's), `grasped`, `cost_terms`, `reason`, `simulator_reward`, `simulator_grasped`.
+    `success` (the simulator's), `grasped`, `cost_terms`, `reason`, `simulator_reward`, `simulator_grasped`;
+    with the "completed" observation `completion_error` (expected Chamfer distance of each object's
+    completed cloud, metres) and `perception_seconds`.
 
     ## Arguments
     * `task`: registered task. * `cost`: a registered cost or a callable. * `grasp`: a registered grasp rule.
-    * `observation`: "complete". * `points`: points of a scene in all. * `render_mode`: None or "rgb_array".
+    * `observation`: "complete", "completed" or "partial". * `sensing`: camera, sensor model and completer of the
+    last two. * `points`: points of a scene in all. * `render_mode`: None or "rgb_array".
 
     ## Version history
     * v0: initial release.
@@ -78,10 +82,11 @@ class SimEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
         observation: str = "complete",
         points: int | None = None,
         render_mode: str | None = None,
+        sensing: Sensing | None = None,
     ) -> None:
-        EzPickle.__init__(self, task, cost, grasp, observation, points, render_mode)
-        if observation not in _OBSERVATIONS:
-            raise unknown_name("observation", observation, _OBSERVATIONS)
+        EzPickle.__init__(self, task, cost, grasp, observation, points, render_mode, sensing)
+        if observation not in OBSERVATIONS:  # before a simulator is made
+            raise unknown_name("observation", observation, OBSERVATIONS)
         self.task, self.render_mode = get_task(task), check_render_mode(render_mode, self.metadata["render_modes"])
         self.layout = self.task.layout if points is None else self.task.layout.resize(points)
         self.rules = Rules(self.task, cost, grasp)
@@ -89,7 +94,10 @@ class SimEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
         self.observation_space = observation_space(self.layout, self.task.goal_size)
         self.simulator: Simulator = self.task.simulator()
         self._full_clouds = sample_clouds(self.simulator.meshes(), self.task.layout, self.task.cloud_seed)
+        clouds = resample_clouds(self._full_clouds, self.task.layout, self.layout)
+        self._sight = build_sight(observation, self.task, self.layout, self.simulator, clouds, sensing or Sensing())
         self._scene: Scene | None = None
+        self._shown: Scene | None = None
         self._poses: deque[np.ndarray] = deque(maxlen=3)  # newest first
         self._action = np.zeros(self.task.action_size, np.float32)
         self._renderer: SceneRenderer | None = None
@@ -101,22 +109,24 @@ class SimEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
 
     @property
     def state(self) -> RigidState:
-        """The present state (1,)."""
-        return batch_state([self.scene()])
+        """The present state (1,), the true one."""
+        return batch_state([self.scene(truth=True)])
 
     @property
     def goal(self) -> Tensor:
         """Goal (1, G)."""
-        return torch.as_tensor(self.scene().goal)[None]
+        return torch.as_tensor(self.scene(truth=True).goal)[None]
 
-    def scene(self, truth: bool = True) -> Scene:
-        """The present scene, velocities included: what ``reset(options={"scene": ...})`` of both twins takes.
+    def scene(self, truth: bool = False) -> Scene:
+        """The present scene, velocities included: what ``reset(options={"scene": ...})`` of the model's twin takes.
 
         Args:
-            truth: with the "complete" observation, estimate and truth are the same.
+            truth: whether to give the simulator's, which its own reset takes too, instead of what is observed.
         """
         if self._scene is None:
             raise PwmGymError("the environment has no scene yet; call reset() first")
+        if not truth and self._shown is not None:
+            return self._shown
         return Scene(
             task=self.task.name,
             layout=self.layout,
@@ -148,8 +158,9 @@ class SimEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
             goal = self.simulator.goal()
             self._scene = Scene(self.task.name, self.layout, clouds, np.stack([poses] * 3), goal)
             self._action = last_action(self._scene, self.task.action_size)
-        judgement = self._judge()
-        return self._observe(), self._info(judgement, self.simulator.outcome())
+        self._sight.reset(int(self.np_random.integers(2**31)))
+        self._show()
+        return self._observe(), self._info(self._judge(), self.simulator.outcome())
 
     def _start_from(self, scene: Scene) -> None:
         if not isinstance(scene, Scene):
@@ -166,19 +177,24 @@ class SimEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
         self._action = checked.numpy().copy()
         outcome = self.simulator.step(self._action)
         self._poses.appendleft(self.simulator.poses())
+        self._show()
         judgement = self._judge()
         info = self._info(judgement, outcome)
         return self._observe(), float(judgement.reward[0]), outcome.success, False, info
+
+    def _show(self) -> None:
+        self._shown = None
+        self._shown = self._sight(self.scene(truth=True))
 
     def _judge(self) -> Judgement:
         return self.rules.judge(self.state, torch.as_tensor(self._action)[None], self.goal)
 
     def _observe(self) -> dict[str, np.ndarray]:
-        return {k: v[0].numpy() for k, v in observe(self.state, self.goal).items()}
+        return {k: v[0].numpy() for k, v in observe(batch_state([self.scene()]), self.goal).items()}
 
-    @staticmethod
-    def _info(judgement: Judgement, outcome: SimOutcome) -> dict[str, Any]:
+    def _info(self, judgement: Judgement, outcome: SimOutcome) -> dict[str, Any]:
         return {
+            **self._sight.info,
             "success": outcome.success,
             "grasped": bool(judgement.grasped[0]),
             "cost_terms": {name: float(value[0]) for name, value in judgement.terms.items()},

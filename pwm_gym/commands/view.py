@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from pwm_gym.planning import Agent, Run
+    from pwm_gym.scene import Scene
     from pwm_gym.viewer import TwinRecord
 
 __all__ = ["FROM_THE_FIRST", "View", "rolled_out", "twin_record"]
@@ -61,9 +62,10 @@ def rolled_out(run: Run, agent: Agent) -> Run:
     from pwm_gym.scene import batch_state
     from pwm_gym.scene.se3 import pose7_from_matrix
 
-    agent.look(run.start)
+    start = run.shown or run.start
+    agent.look(start)
     with torch.no_grad():
-        states = rollout(agent.model, batch_state([run.start]), torch.as_tensor(run.actions)[None])[0]
+        states = rollout(agent.model, batch_state([start]), torch.as_tensor(run.actions)[None])[0]
     return replace(
         run,
         predicted=pose7_from_matrix(states.poses().double()).numpy(),
@@ -80,9 +82,9 @@ def twin_record(run: Run, predicted: str) -> TwinRecord:
     from pwm_gym.evaluation import chamfer
     from pwm_gym.viewer import TwinRecord
 
-    start = run.start
-    told = _points(run, np.concatenate([run.poses[:1], run.predicted]))
-    true = _points(run, run.poses)
+    start, shown = run.start, run.shown or run.start
+    told = _points(shown, np.concatenate([shown.poses[:1], run.predicted]))
+    true = _points(start, run.poses)
     return TwinRecord(
         predicted=told,
         true=true,
@@ -96,9 +98,9 @@ def twin_record(run: Run, predicted: str) -> TwinRecord:
     )
 
 
-def _points(run: Run, poses: np.ndarray) -> np.ndarray:
+def _points(scene: Scene, poses: np.ndarray) -> np.ndarray:
     """World-frame points (T, N, 3) of entity poses (T, E, 7)."""
     from pwm_gym.scene import batch_state
 
-    scenes = [replace(run.start, poses=pose[None].repeat(3, 0)) for pose in poses]
+    scenes = [replace(scene, poses=pose[None].repeat(3, 0)) for pose in poses]
     return batch_state(scenes).points().numpy()

@@ -32,7 +32,7 @@ def execute(
     between two looks (paper, section 4.2: open-loop planning stresses the model).
 
     Args:
-        env: a twin or model environment; the agent sees ``env.unwrapped.scene()``.
+        env: a twin or model environment; the agent sees ``env.unwrapped.scene()``, and the record holds the truth.
         agent: plans.
         seed: of the episode and of the planner's noise.
         max_steps: actions at most.
@@ -50,12 +50,13 @@ def execute(
     _, info = env.reset(seed=seed)
     agent.reset(seed)
     at_reset = bool(info["success"])
-    scenes: list[Scene] = [base.scene()]
+    scenes: list[Scene] = [base.scene(truth=True)]
+    shown: Scene = base.scene()
     actions, rewards, seconds, predicted = [], [], [], []
     for step in range(max_steps):
         seen = None
         if step == 0 or (chunk and step % chunk == 0):
-            seen = scenes[-1] if observe is None else observe(scenes[-1])
+            seen = base.scene() if observe is None else observe(base.scene())
         begun = time.perf_counter()
         action = agent.act(seen)
         seconds.append(time.perf_counter() - begun)
@@ -63,12 +64,13 @@ def execute(
         _, reward, terminated, truncated, info = env.step(action)
         actions.append(action)
         rewards.append(float(reward))
-        scenes.append(base.scene())
+        scenes.append(base.scene(truth=True))
         if terminated or truncated:
             break
     judged = _judged(agent, scenes, stack([s[0] for s in predicted], 0), np.stack(actions))
     return Run(
         start=scenes[0],
+        shown=None if np.array_equal(shown.clouds, scenes[0].clouds) else shown,
         seed=seed,
         success=bool(info["success"]),
         actions=np.stack(actions),

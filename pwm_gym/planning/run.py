@@ -17,7 +17,7 @@ __all__ = ["Run"]
 
 _FACTS = ("seed", "chunk", "success", "at_reset")
 _ARRAYS = ("actions", "rewards", "plan_seconds", "poses", "predicted", "predicted_rewards")
-_START = "start."
+_START, _SHOWN = "start.", "shown."
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +56,8 @@ class Run:
     """Whether it was a success before the first action; such seeds are left out of tables."""
     settings: dict[str, Any] = field(default_factory=dict)
     """What planned: model, planner and cost."""
+    shown: Scene | None = None
+    """The first scene as it was shown, where its clouds are not the real ones; ``predicted`` moves those."""
 
     def __post_init__(self) -> None:
         """Check the arrays' lengths."""
@@ -84,12 +86,16 @@ class Run:
 
     def save(self, path: str | Path) -> None:
         """Write the record to an ``.npz`` file (arrays and JSON text, no pickle)."""
-        start: dict[str, Any] = {f"{_START}{k}": v for k, v in asdict(self.start).items() if isinstance(v, np.ndarray)}
+        scenes = {_START: self.start, **({} if self.shown is None else {_SHOWN: self.shown})}
+        parts = {
+            f"{prefix}{k}": v for prefix, scene in scenes.items() for k, v in asdict(scene).items() if _is_array(v)
+        }
         header = {
             "format": "pwm_gym.run",
             "schema": 1,
             "task": self.start.task,
             "layout": self.start.layout.to_json(),
+            "shown_layout": None if self.shown is None else self.shown.layout.to_json(),
             "seed": int(self.seed),
             "chunk": int(self.chunk),
             "success": bool(self.success),
@@ -100,7 +106,7 @@ class Run:
         arrays: dict[str, Any] = {name: getattr(self, name) for name in _ARRAYS}
         both = [source[name] for source in (self.terms, self.predicted_terms) for name in self.terms]
         arrays["terms"] = np.stack(both) if both else np.empty(0)
-        save_arrays(path, {**arrays, **start}, header)
+        save_arrays(path, {**arrays, **parts}, header)
 
     @classmethod
     def load(cls, path: str | Path) -> Run:
@@ -113,11 +119,22 @@ class Run:
         found, header = load_arrays(path, complaint, PwmGymError, "pwm_gym.run")
         try:
             arrays: dict[str, Any] = {name: found[name] for name in _ARRAYS}
-            start: dict[str, Any] = {k.removeprefix(_START): v for k, v in found.items() if k.startswith(_START)}
             values, names = found["terms"], header["terms"]
             facts = {name: header[name] for name in (*_FACTS, "settings")}
-            scene = Scene(task=header["task"], layout=Layout.from_json(header["layout"]), **start)
+            start = _scene(header["task"], header["layout"], found, _START)
+            told = header.get("shown_layout")
+            shown = None if told is None else _scene(header["task"], told, found, _SHOWN)
             terms, predicted = ({name: values[i] for i, name in enumerate(names, k)} for k in (0, len(names)))
         except (KeyError, IndexError, TypeError) as error:
             raise PwmGymError(f"{path} {complaint} ({error})") from error
-        return cls(start=scene, **facts, **arrays, terms=terms, predicted_terms=predicted)
+        return cls(start=start, shown=shown, **facts, **arrays, terms=terms, predicted_terms=predicted)
+
+
+def _is_array(value: Any) -> bool:
+    return isinstance(value, np.ndarray)
+
+
+def _scene(task: str, layout: list[dict[str, Any]], arrays: dict[str, np.ndarray], prefix: str) -> Scene:
+    """The scene whose arrays have names that begin with ``prefix``."""
+    own: dict[str, Any] = {k.removeprefix(prefix): v for k, v in arrays.items() if k.startswith(prefix)}
+    return Scene(task=task, layout=Layout.from_json(layout), **own)

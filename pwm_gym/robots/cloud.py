@@ -81,6 +81,7 @@ class RobotCloud:
         names: Mapping[str, str] | None = None,
         points: int | Mapping[str, int] = 300,
         geometry: Literal["collision", "visual"] = "collision",
+        convex: bool = False,
         seed: int = 0,
     ) -> RobotCloud:
         """Read a URDF and sample the surfaces of some of its links.
@@ -93,6 +94,7 @@ class RobotCloud:
             names: entity name -> link; a link without one keeps its own name.
             points: how many points each entity has, or entity name -> how many.
             geometry: which of the links' shapes are sampled.
+            convex: whether each shape is its convex hull, as simulators take collision meshes.
             seed: of the sampling.
 
         Raises:
@@ -104,7 +106,7 @@ class RobotCloud:
             raise unknown_name("geometry", geometry, _GEOMETRIES)
         robot = _Urdf(Path(urdf))
         entities = _name_links(list(links), names or {})
-        meshes = {entity: robot.mesh(link, geometry) for entity, link in entities.items()}
+        meshes = {entity: robot.mesh(link, geometry, convex) for entity, link in entities.items()}
         counts = [(name, points if isinstance(points, int) else _look_up("entity", name, points)) for name in meshes]
         layout = Layout.build(counts, effectors=tuple(entities))
         return cls(robot, entities, joints, meshes, layout, seed)
@@ -208,13 +210,13 @@ class _Urdf:
             raise PwmGymError(f"{path} is not a URDF of a robot with movable joints")
         self._movers = {joint.child: joint for joint in self.joints.values()}
 
-    def mesh(self, link: str, geometry: str) -> trimesh.Trimesh:
-        """Union of a link's collision or visual shapes in its own frame."""
+    def mesh(self, link: str, geometry: str, convex: bool) -> trimesh.Trimesh:
+        """Union of a link's collision or visual shapes, or of their convex hulls, in its own frame."""
         import trimesh
 
         parts = []
         for shape in _look_up("link", link, self._links).findall(geometry):
-            mesh = self._shape(shape)
+            mesh = self._shape(shape).convex_hull if convex else self._shape(shape)
             mesh.apply_transform(_origin(shape))
             parts.append(mesh)
         if not parts:

@@ -77,6 +77,13 @@ class DepthCamera:
         intrinsics = np.array([[focal, 0.0, 0.5 * (width - 1)], [0.0, focal, 0.5 * (height - 1)], [0.0, 0.0, 1.0]])
         return cls(intrinsics, pose, width, height)
 
+    def resize(self, factor: int) -> DepthCamera:
+        """The same view with ``factor`` times as many pixels across and down."""
+        intrinsics = self.intrinsics.copy()
+        intrinsics[:2] *= factor
+        intrinsics[:2, 2] += 0.5 * (factor - 1)  # pixels' centres have whole coordinates
+        return DepthCamera(intrinsics, self.pose, factor * self.width, factor * self.height)
+
     def rays(self) -> np.ndarray:
         """Direction (H, W, 3) of each pixel's ray in the base's frame; its component along the line of sight is 1."""
         u, v = np.meshgrid(np.arange(self.width), np.arange(self.height))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pwm_gym.robots import Control, SerialArm
+from pwm_gym.robots import Control, RobotCloud, SerialArm
 from pwm_gym.scene import Slider
 from pwm_gym.tasks.registry import Arm
 
@@ -18,6 +18,7 @@ __all__ = [
     "SLIDERS",
     "delta_pose_action",
     "opening",
+    "robot_cloud",
     "tool_pose",
 ]
 
@@ -55,6 +56,14 @@ CONTROL = Control(
         rotation_unit=_ROTATION_UNIT,
     ),
 )
+
+
+def robot_cloud() -> RobotCloud:
+    """The hand and its fingers from nine joint values, of the URDF that ManiSkill's Panda is built from."""
+    from mani_skill import PACKAGE_ASSET_DIR
+
+    urdf = PACKAGE_ASSET_DIR / "robots" / "panda" / "panda_v2.urdf"
+    return RobotCloud.from_urdf(urdf, BODIES.values(), names=BODIES, convex=True)
 
 
 def tool_pose(poses: np.ndarray) -> np.ndarray:

@@ -277,6 +277,7 @@ PICK_CUBE = register_task(
         arm=panda.ARM,
         object="cube",
         simulator=_simulator,
+        robot=panda.robot_cloud,
         expert=PickCubeExpert.sample,
         cost="pick_cube",
         plan_cost="pick_cube_plan",

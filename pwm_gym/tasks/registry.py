@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 
 from pwm_gym.errors import unknown_name
-from pwm_gym.robots import Control
+from pwm_gym.robots import Control, RobotCloud
 from pwm_gym.scene import Layout
 from pwm_gym.sim import Simulator
 
@@ -48,6 +48,8 @@ class Task:
     object: str
     """Entity that is to be moved."""
     simulator: Callable[[], Simulator]
+    robot: Callable[[], RobotCloud]
+    """The robot's links from its joint angles, in the order of the simulator's joints."""
     expert: Callable[[np.random.Generator], Expert]
     cost: str
     """Registered cost that ports the simulator's own shaped reward."""

@@ -27,7 +27,7 @@ class Counter(gym.Env):
         success = self._step >= self._goal
         return self._step, 0.5, success, False, {"success": success}
 
-    def scene(self):
+    def scene(self, truth=False):
         return replace(self._scene, last_action=np.full(7, self._step, np.float32))
 
 
