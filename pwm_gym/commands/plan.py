@@ -39,6 +39,12 @@ class Plan:
     """Rounds of sampling an action."""
     chunk: int = 1
     """Actions between two looks: 1 is closed loop, 0 looks at the first scene alone (open loop)."""
+    observation: str = "complete"
+    """What the agent sees: complete clouds, "partial" ones, or ones "completed" from a camera's depth."""
+    completer: str = "default"
+    """Of completed clouds: a checkpoint's folder, "default" or "hull"."""
+    sensor: str = "ideal"
+    """Sensor model of that camera: ideal or d455."""
     caution: float = 0.0
     """Cost of a metre of expected error at a step."""
     workspace: tuple[float, float, float, float, float, float] | None = None
@@ -56,6 +62,7 @@ class Plan:
         """Run the episodes and print the success table."""
         import pwm_gym  # noqa: F401  (registers)
         from pwm_gym.dynamics import load_checkpoint, resolve
+        from pwm_gym.envs import Sensing
         from pwm_gym.errors import unknown_name
         from pwm_gym.evaluation import planning_table, run_in_simulator, save_runs, write_results
         from pwm_gym.planning import Agent
@@ -71,13 +78,16 @@ class Plan:
         model = load_checkpoint(resolve(self.checkpoint, self.task), self.task).model
         seeds = seed_range(self.seeds, self.episodes, self.offset)
         agent = Agent(model, self.task, config, penalties=self._penalties(task), caution=self.caution)
-        runs = run_in_simulator(task, agent, seeds, self.max_steps, self.chunk)
+        sensing = Sensing(sensor=self.sensor, completer=self.completer)
+        sight = {"observation": self.observation, "sensing": sensing}
+        runs = run_in_simulator(task, agent, seeds, self.max_steps, self.chunk, settings=sight)
         table = planning_table(runs)
         _print(self.task, self.chunk, table)
         if self.save is not None:
             save_runs(runs, self.save)
         if self.json is not None:
-            facts = {"planner": self.planner, "settings": asdict(config), "chunk": self.chunk, "seeds": self.seeds}
+            names = ("planner", "chunk", "seeds", "observation", "completer", "sensor")
+            facts = {"settings": asdict(config), **{name: getattr(self, name) for name in names}}
             write_results(self.json, {**facts, **table})
 
     def _config(self) -> SamplingConfig:

@@ -14,6 +14,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from pwm_gym.completion.neighbours import gather_points, nearest_points
 from pwm_gym.errors import PwmGymError, unknown_name
 
 __all__ = ["SIZES", "CompletionConfig", "CompletionNet", "get_size"]
@@ -181,10 +182,10 @@ class _Stage(nn.Module):
 
     def forward(self, points: Tensor, features: Tensor | None, kept: Tensor) -> tuple[Tensor, Tensor]:
         """The kept points (B, m, 3), and their features (B, m, C) of points (B, n, 3) with features (B, n, D)."""
-        index = _nearest(kept, points, self.neighbours)
-        near = _gather(points, index) - kept.unsqueeze(2)  # (B, m, k, 3)
+        index = nearest_points(kept, points, self.neighbours)
+        near = gather_points(points, index) - kept.unsqueeze(2)  # (B, m, k, 3)
         if features is not None:
-            near = torch.cat([near, _gather(features, index)], -1)
+            near = torch.cat([near, gather_points(features, index)], -1)
         pooled = self.read(near).amax(2)
         return kept, self.mix(torch.cat([pooled, kept], -1))
 
@@ -215,9 +216,9 @@ class _Upsample(nn.Module):
             what: their features (B, s, C).
             whole: global feature (B, F).
         """
-        index = _nearest(cloud, where, self.sources)
-        gap = self.near(cloud.unsqueeze(2) - _gather(where, index))  # (B, m, k, hidden)
-        mixed = gap + _gather(self.value(what), index)
+        index = nearest_points(cloud, where, self.sources)
+        gap = self.near(cloud.unsqueeze(2) - gather_points(where, index))  # (B, m, k, hidden)
+        mixed = gap + gather_points(self.value(what), index)
         read = (self.score(mixed).softmax(2) * mixed).sum(2) + self.whole(whole).unsqueeze(1)
         if carried is not None:
             read = torch.cat([read, carried], -1)
@@ -230,15 +231,3 @@ def _mlp(*sizes: int) -> nn.Sequential:
     for a, b in itertools.pairwise(sizes):
         layers += [nn.Linear(a, b), nn.GELU()]
     return nn.Sequential(*layers[:-1])
-
-
-def _nearest(queries: Tensor, points: Tensor, count: int) -> Tensor:
-    """Indices (B, m, k) of the points (B, n, 3) nearest to queries (B, m, 3)."""
-    with torch.no_grad():
-        return torch.cdist(queries, points).topk(count, -1, largest=False, sorted=False).indices
-
-
-def _gather(values: Tensor, index: Tensor) -> Tensor:
-    """Values (B, n, C) at indices (B, m, k): (B, m, k, C)."""
-    batch = torch.arange(len(values), device=values.device)[:, None, None]
-    return values[batch, index]

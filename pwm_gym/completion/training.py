@@ -12,6 +12,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from pwm_gym.completion.neighbours import gather_points, nearest_points
 from pwm_gym.completion.network import CompletionNet
 from pwm_gym.completion.views import Batch, Views
 from pwm_gym.learning import run_training
@@ -91,18 +92,12 @@ class CompletionLoss(nn.Module):
 def chamfer_loss(cloud: Tensor, target: Tensor) -> Tensor:
     """Euclidean Chamfer distance (B,) of clouds (B, n, 3) and (B, m, 3), half of both directions' sum.
 
-    Points that have found their nearest ones are alone in the gradient, and in memory.
+    Only points and their nearest ones are in the gradient, and in memory.
     """
-    with torch.no_grad():
-        gaps = torch.cdist(cloud, target)
-        there, back = gaps.argmin(2), gaps.argmin(1)
-    forward = (cloud - _take(target, there)).square().sum(-1)
-    backward = (target - _take(cloud, back)).square().sum(-1)
-    return 0.5 * ((forward + 1e-12).sqrt().mean(1) + (backward + 1e-12).sqrt().mean(1))
-
-
-def _take(points: Tensor, index: Tensor) -> Tensor:
-    return points.gather(1, index.unsqueeze(-1).expand(-1, -1, 3))
+    forward = cloud - gather_points(target, nearest_points(cloud, target)).squeeze(2)
+    backward = target - gather_points(cloud, nearest_points(target, cloud)).squeeze(2)
+    there, back = ((x.square().sum(-1) + 1e-12).sqrt().mean(1) for x in (forward, backward))
+    return 0.5 * (there + back)
 
 
 def train_completion(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -46,9 +46,10 @@ def run_in_simulator(
     chunk: int = 1,
     observe: Callable[[Scene], Scene] | None = None,
     progress: bool = True,
+    settings: Mapping[str, Any] | None = None,
 ) -> list[Run]:
-    """:func:`run_episodes` in the task's simulator environment, which is closed again."""
-    env = gym.make(f"pwm/{task.name}Sim-v0", max_episode_steps=max_steps)
+    """:func:`run_episodes` in the task's simulator environment, made with ``settings``, which is closed again."""
+    env = gym.make(f"pwm/{task.name}Sim-v0", max_episode_steps=max_steps, **(settings or {}))
     try:
         return run_episodes(env, agent, seeds, max_steps, chunk, observe, progress)
     finally:
