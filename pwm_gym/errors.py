@@ -3,9 +3,21 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from typing import TypeVar
 
-__all__ = ["CheckpointError", "DatasetError", "PwmGymError", "SceneError", "UnknownNameError", "unknown_name"]
+__all__ = [
+    "CheckpointError",
+    "DatasetError",
+    "PwmGymError",
+    "SceneError",
+    "UnknownNameError",
+    "look_up",
+    "unknown_name",
+]
+
+
+_Value = TypeVar("_Value")
 
 
 class PwmGymError(ValueError):
@@ -39,3 +51,14 @@ def unknown_name(kind: str, name: str, known: Iterable[str]) -> UnknownNameError
     near = difflib.get_close_matches(name, names, n=1)
     hint = f" Did you mean '{near[0]}'?" if near else ""
     return UnknownNameError(f"unknown {kind} {name!r}; known: {', '.join(names) or 'none'}.{hint}")
+
+
+def look_up(kind: str, name: str, known: Mapping[str, _Value]) -> _Value:
+    """What ``known`` holds under ``name``.
+
+    Raises:
+        UnknownNameError: as of :func:`unknown_name`.
+    """
+    if name not in known:
+        raise unknown_name(kind, name, known)
+    return known[name]

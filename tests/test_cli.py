@@ -151,10 +151,13 @@ def cut(episode, steps):
 
 
 def test_evaluate_writes_its_table(short_episodes, tmp_path, capsys):
-    args = f"evaluate --data {short_episodes} --no-floors --threads 1 --json {tmp_path}/table.json"
+    args = f"evaluate --data {short_episodes} --no-floors --threads 1 --completer hull --json {tmp_path}/table.json"
     main(args.split())
     results = json.loads((tmp_path / "table.json").read_text())
-    assert {"still", "commanded", "linear", "oracle effector"} < set(results["rows"])
+    completed = {f"completed, {view}" for view in ("right", "left", "front")}
+    assert {"still", "commanded", "linear", "oracle effector"} | completed < set(results["rows"])
+    truth = results["rows"]["compact"]["practice"]["chamfer_l1"]
+    assert all(results["rows"][row]["practice"]["chamfer_l1"] > truth for row in completed)
     assert results["rows"]["still"]["practice"]["episodes"] == 1
     assert results["long_rollouts"]["finite"] in (True, False)
     out = capsys.readouterr().out

@@ -21,7 +21,10 @@ _CELLS = ("chamfer", "partial", "hull", "floor", "centroid_percent", "better_tha
 
 @dataclass(frozen=True)
 class Complete:
-    """Train and measure the completion of partial clouds, or complete one view of a mesh."""
+    """Train and measure the completion of partial clouds, or complete one view of a mesh.
+
+    ``torchrun --nproc-per-node 2 -m pwm_gym complete --train`` shares the training.
+    """
 
     train: bool = False
     """Train a network on generated shapes, and on ``--meshes`` if they are given."""
@@ -50,6 +53,7 @@ class Complete:
         """Do what is asked for, one after the other."""
         from pwm_gym.completion import fit_completion, load_completion
         from pwm_gym.errors import PwmGymError
+        from pwm_gym.learning import leads
         from pwm_gym.process import prepare_process
 
         if not (self.train or self.evaluate or self.mesh):
@@ -59,6 +63,8 @@ class Complete:
         if self.train:
             validate = _Validation(replace(self.objects, shapes=_VALIDATION, meshes=None))
             checkpoint = str(fit_completion(self.objects, self.size, self.recipe, self.out, validate))
+            if not leads():
+                return
             print(f"checkpoint: {checkpoint}")
         if self.evaluate or self.mesh:
             net, description = load_completion(checkpoint)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from pwm_gym.data import Dataset
+    from pwm_gym.scene import RigidState
     from pwm_gym.tasks import Task
 
 __all__ = ["Evaluate"]
@@ -32,6 +33,10 @@ class Evaluate:
     """Which split."""
     every: int = 1
     """Chamfer distances are measured at each n-th step; all other metrics at every one."""
+    completer: str | None = None
+    """Rows that start from completed views instead of the truth: a completion checkpoint, "default" or "hull"."""
+    sensor: str = "ideal"
+    """Sensor model of those views: ideal or d455."""
     floors: bool = True
     """Whether to measure the floors, which needs the simulator."""
     long: int = 0
@@ -42,6 +47,8 @@ class Evaluate:
     """rollout, baselines, register, horizon, data, head, arm, budget or planning."""
     full: bool = False
     """Table of planning: whether the fast models plan 100 episodes instead of 20."""
+    members: tuple[str, ...] = ()
+    """Table of planning: only these of its models, by name; none given takes all."""
     out: Path = Path("runs/tables")
     """Folder of a table's trainings and results."""
     workers: int = 1
@@ -73,6 +80,11 @@ class Evaluate:
         training = load_split(self.data, "train", task.name)
         for name in _WITHOUT_LEARNING:
             rows[name] = evaluate_rollouts(fit_baseline(name, task, training), task, dataset, every=self.every)
+        if self.completer is not None:
+            for view, start in _completed_starts(task, dataset, self.completer, self.sensor).items():
+                rows[f"completed, {view}"] = evaluate_rollouts(
+                    checkpoint.model, task, dataset, every=self.every, start=start
+                )
         floors = _floors(task, dataset) if self.floors else {}
         _print(task, rows, floors)
         self._calibration(task, rows[checkpoint.kind])
@@ -122,11 +134,12 @@ class Evaluate:
 
     def _table(self, name: str) -> None:
         from pwm_gym.evaluation import run_planning_table, run_table, write_results
+        from pwm_gym.evaluation.members import get_members
         from pwm_gym.process import prepare_process
 
         if name == "planning":
             prepare_process(self.threads)
-            planning = run_planning_table(self.data, self.out, self.task, self.full)
+            planning = run_planning_table(self.data, self.out, self.task, self.full, get_members(self.members))
             _print_planning(planning)
             if self.json is not None:
                 write_results(self.json, {"table": name, **planning})
@@ -156,6 +169,23 @@ def _print_planning(table: dict[str, Any]) -> None:
                 f"    {mode:14s} {result['successes']:3d}/{result['episodes']} ({low:.0%} to {high:.0%}), "
                 f"{'-' if steps is None else f'{steps:.0f}'} steps, {result['plan_seconds']['median']:.2f} s an action"
             )
+
+
+def _completed_starts(task: Task, dataset: Dataset, completer: str, sensor: str) -> dict[str, RigidState]:
+    """What perception makes of the episodes' first views, from each of three places."""
+    from pwm_gym.completion import build_completer
+    from pwm_gym.data.partial import CAMERA_SCALE, VIEWPOINTS
+    from pwm_gym.evaluation.rollouts import completed_start
+    from pwm_gym.perception import IdSegmenter, RenderedObserver, SceneObserver
+
+    simulator, layout = task.simulator(), dataset.layout
+    meshes = simulator.meshes()
+    simulator.close()
+    observer = SceneObserver(
+        task.name, layout, task.robot(), IdSegmenter(layout), build_completer(completer), clouds=dataset.clouds
+    )
+    looks = {n: RenderedObserver(observer, meshes, c.resize(CAMERA_SCALE), sensor) for n, c in VIEWPOINTS.items()}
+    return {name: completed_start(dataset, look) for name, look in looks.items()}
 
 
 def _floors(task: Task, dataset: Dataset) -> dict[str, Any]:

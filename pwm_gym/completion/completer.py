@@ -8,12 +8,13 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 import torch
 
+from pwm_gym.completion.checkpoint import load_completion
 from pwm_gym.completion.frame import LEAST, ViewerFrame
 from pwm_gym.completion.network import CompletionNet
 from pwm_gym.errors import PwmGymError
 from pwm_gym.scene import spread
 
-__all__ = ["Completer", "Completion", "HullCompleter", "LearnedCompleter"]
+__all__ = ["Completer", "Completion", "HullCompleter", "LearnedCompleter", "build_completer"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,6 +72,18 @@ class HullCompleter:
         hull = trimesh.PointCloud(partial.astype(np.float64)).convex_hull
         samples, _ = trimesh.sample.sample_surface(hull, 2 * points, seed=0)
         return Completion(spread(samples, points), float("nan"))
+
+
+def build_completer(completer: str | Completer) -> Completer:
+    """A completer by name: "hull", "default" (the shipped network), or a checkpoint's folder; others stay as they are.
+
+    Raises:
+        UnknownNameError: there is no such folder.
+        CheckpointError: what is there is no network.
+    """
+    if not isinstance(completer, str):
+        return completer
+    return HullCompleter() if completer == "hull" else LearnedCompleter(load_completion(completer)[0])
 
 
 def _check(partial: np.ndarray, eye: np.ndarray) -> None:

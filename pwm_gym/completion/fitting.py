@@ -15,7 +15,6 @@ from torch import nn
 from pwm_gym.completion.checkpoint import save_completion
 from pwm_gym.completion.meshes import load_meshes, normalise
 from pwm_gym.completion.network import CompletionNet, get_size
-from pwm_gym.completion.shapes import random_shape
 from pwm_gym.completion.training import CompletionRecipe, train_completion
 from pwm_gym.completion.views import ViewConfig, Views
 from pwm_gym.errors import PwmGymError, unknown_name
@@ -72,6 +71,8 @@ class ObjectSet:
 
 def random_shapes(count: int, first: int = _SHAPE_SEEDS) -> list[trimesh.Trimesh]:
     """Generated shapes of the seeds from ``first`` on."""
+    from pwm_gym.completion.shapes import random_shape
+
     return [random_shape(np.random.default_rng(first + k)) for k in range(count)]
 
 

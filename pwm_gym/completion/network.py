@@ -15,7 +15,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from pwm_gym.completion.neighbours import gather_points, nearest_points
-from pwm_gym.errors import PwmGymError, unknown_name
+from pwm_gym.errors import PwmGymError, look_up
 
 __all__ = ["SIZES", "CompletionConfig", "CompletionNet", "get_size"]
 
@@ -103,9 +103,7 @@ def get_size(name: str) -> CompletionConfig:
     Raises:
         UnknownNameError: listing the known ones.
     """
-    if name not in SIZES:
-        raise unknown_name("size of the completion network", name, SIZES)
-    return SIZES[name]
+    return look_up("size of the completion network", name, SIZES)
 
 
 class CompletionNet(nn.Module):

@@ -17,7 +17,7 @@ from typing import Any, TypeVar
 import torch
 from torch import Tensor
 
-from pwm_gym.errors import PwmGymError, unknown_name
+from pwm_gym.errors import PwmGymError, look_up
 from pwm_gym.scene import EntityPoints, State
 
 __all__ = [
@@ -142,9 +142,7 @@ def get_cost(cost: str | Function | Cost) -> Cost:
     if callable(cost):
         name = getattr(cost, "__name__", "cost")
         return Cost(name, {name: (1.0, cost)})
-    if cost not in COSTS:
-        raise unknown_name("cost", cost, COSTS)
-    return COSTS[cost]
+    return look_up("cost", cost, COSTS)
 
 
 def register_success(name: str) -> Callable[[F], F]:
@@ -159,16 +157,12 @@ def register_grasp(name: str) -> Callable[[F], F]:
 
 def get_success(name: str) -> Function:
     """The success rule called ``name``."""
-    if name not in SUCCESSES:
-        raise unknown_name("success rule", name, SUCCESSES)
-    return SUCCESSES[name]
+    return look_up("success rule", name, SUCCESSES)
 
 
 def get_grasp(name: str) -> Function:
     """The grasp rule called ``name``."""
-    if name not in GRASPS:
-        raise unknown_name("grasp rule", name, GRASPS)
-    return GRASPS[name]
+    return look_up("grasp rule", name, GRASPS)
 
 
 def cost_info(state: State, action: Tensor, goal: Tensor, grasp: Function) -> tuple[Points, dict[str, Any]]:

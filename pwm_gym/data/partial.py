@@ -26,7 +26,9 @@ if TYPE_CHECKING:
 
 __all__ = [
     "CAMERA",
+    "CAMERA_SCALE",
     "PARTIAL_POINTS",
+    "VIEWPOINTS",
     "PartialView",
     "PartialWindows",
     "choose_visible",
@@ -38,6 +40,15 @@ __all__ = [
 CAMERA = DepthCamera.looking((1.15, -0.55, 0.65), (0.6, 0.0, 0.15), fov=50.0)
 """In front of a table-top robot, to its right, looking down at its work area."""
 
+VIEWPOINTS = {
+    "right": CAMERA,
+    "left": DepthCamera.looking((1.15, 0.55, 0.65), (0.6, 0.0, 0.15), fov=50.0),
+    "front": DepthCamera.looking((1.3, 0.0, 0.75), (0.6, 0.0, 0.15), fov=50.0),
+}
+""":data:`CAMERA` and two others, to see what the viewpoint changes."""
+
+CAMERA_SCALE = 2
+"""Pixels of completion's camera for each of :data:`CAMERA`'s: objects of a few centimetres need a dozen across."""
 
 PARTIAL_POINTS = 64
 """Points of each entity in a partial cloud."""

@@ -13,7 +13,7 @@ from pwm_gym.dynamics.compact import CompactConfig, CompactModel
 from pwm_gym.dynamics.graph import GraphConfig, GraphModel
 from pwm_gym.dynamics.paper import PaperConfig, PaperModel, SmallPaperConfig
 from pwm_gym.dynamics.particleformer import ParticleFormer, ParticleFormerConfig
-from pwm_gym.errors import CheckpointError, unknown_name
+from pwm_gym.errors import CheckpointError, look_up, unknown_name
 from pwm_gym.robots import Control
 from pwm_gym.scene import Layout
 
@@ -49,9 +49,7 @@ def model_kind(name: str) -> ModelKind:
     Raises:
         UnknownNameError: listing the known kinds and the nearest one.
     """
-    if name not in MODELS:
-        raise unknown_name("world model", name, MODELS)
-    return MODELS[name]
+    return look_up("world model", name, MODELS)
 
 
 def build_model(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,7 @@ import torch
 from pwm_gym.data import fit_baseline, load_split
 from pwm_gym.data.partial import PartialView
 from pwm_gym.dynamics import WorldModel, load_checkpoint, resolve
+from pwm_gym.errors import look_up
 from pwm_gym.evaluation.planning import planning_table, run_in_simulator, save_runs
 from pwm_gym.evaluation.record import describe_commit
 from pwm_gym.evaluation.tables import row_folder, trained
@@ -24,7 +25,7 @@ from pwm_gym.seeds import seed_range
 from pwm_gym.sim.model import SimulatorModel
 from pwm_gym.tasks import Task, get_task
 
-__all__ = ["CHUNKS", "MEMBERS", "Member", "run_planning_table"]
+__all__ = ["CHUNKS", "MEMBERS", "Member", "get_members", "run_planning_table"]
 
 CHUNKS = {"closed loop": 1, "chunks of 20": 20, "chunks of 50": 50, "open loop": 0}
 """Name -> actions between two looks; 0 looks once."""
@@ -59,6 +60,16 @@ MEMBERS = (
 """The table's rows."""
 
 _SLOW = MPPIConfig().resize(32)
+
+
+def get_members(names: Sequence[str] = ()) -> tuple[Member, ...]:
+    """The members called ``names``, or all.
+
+    Raises:
+        UnknownNameError: listing the known ones.
+    """
+    known = {member.name: member for member in MEMBERS}
+    return tuple(look_up("model of the planning table", name, known) for name in names) if names else MEMBERS
 
 
 def run_planning_table(

@@ -19,7 +19,7 @@ from pwm_gym.dynamics.model import WorldModel
 from pwm_gym.evaluation.calibration import calibration
 from pwm_gym.evaluation.metrics import chamfer, pearson
 from pwm_gym.evaluation.rollouts import OBSERVED, Rollouts, position_errors, predict, rotation_errors
-from pwm_gym.scene import State
+from pwm_gym.scene import RigidState, State
 from pwm_gym.tasks import Task
 
 __all__ = ["SPLITS", "STEPS", "evaluate_rollouts"]
@@ -54,7 +54,7 @@ def evaluate_rollouts(
     oracle: bool = False,
     every: int = 1,
     progress: bool = True,
-    seen: np.ndarray | None = None,
+    start: RigidState | None = None,
 ) -> dict[str, Any]:
     """Metrics of ``model`` for each of :data:`SPLITS` that ``dataset`` has.
 
@@ -65,10 +65,10 @@ def evaluate_rollouts(
         oracle: whether the true end effector replaces the predicted one after each step.
         every: Chamfer distances are measured at each ``every``-th step.
         progress: whether to show a bar.
-        seen: visible points (F, N) of each frame, for a model of partial clouds; it is scored against the complete
+        start: what is observed of each episode's first steps, as of :func:`predict`; it is scored against the complete
             truth.
     """
-    rollouts = predict(model, dataset, oracle_effector=oracle, seen=seen)
+    rollouts = predict(model, dataset, oracle_effector=oracle, start=start)
     scores = _score(rollouts, task, every, progress)
     kinds = np.array([KINDS[e.kind] for e in rollouts.episodes])
     table = {}

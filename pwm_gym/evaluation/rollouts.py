@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -13,10 +13,21 @@ from pwm_gym.data.dataset import Dataset
 from pwm_gym.data.episodes import KINDS, Episode
 from pwm_gym.data.partial import partial_clouds
 from pwm_gym.dynamics.model import WorldModel
-from pwm_gym.scene import Layout, PointState, RigidState, State, batch_state, stack
+from pwm_gym.scene import PointState, RigidState, State, batch_state, stack
 from pwm_gym.scene.se3 import matrix_from_pose7, rotation_angle
 
-__all__ = ["OBSERVED", "Rollouts", "long_rollouts", "predict", "validation_metrics"]
+if TYPE_CHECKING:
+    from pwm_gym.perception import RenderedObserver
+
+__all__ = [
+    "OBSERVED",
+    "Rollouts",
+    "completed_start",
+    "long_rollouts",
+    "observed_start",
+    "predict",
+    "validation_metrics",
+]
 
 OBSERVED = 3
 """Clouds that a model sees before it predicts."""
@@ -59,7 +70,7 @@ class Rollouts:
 
 @torch.no_grad()
 def predict(
-    model: WorldModel, dataset: Dataset, oracle_effector: bool = False, seen: np.ndarray | None = None
+    model: WorldModel, dataset: Dataset, oracle_effector: bool = False, start: RigidState | None = None
 ) -> Rollouts:
     """Roll ``model`` out under the actions of each episode of ``dataset``.
 
@@ -67,8 +78,8 @@ def predict(
         model: world model on the CPU.
         dataset: episodes of one split.
         oracle_effector: whether the true end effector replaces the predicted one after each step.
-        seen: points (F, N) of each frame that a camera sees (:func:`pwm_gym.data.visibility`), for a model of partial
-            clouds: it gets those of the third observed frame.
+        start: what is observed of each episode's first three steps (M,); None takes the complete truth. Its canonical
+            frames may differ from the true ones: predicted poses are told as motions of the true one at the start.
     """
     episodes = tuple(e for e in dataset.episodes if len(e) > OBSERVED - 1)
     lengths = np.array([len(e) - (OBSERVED - 1) for e in episodes])
@@ -76,25 +87,53 @@ def predict(
     frames = torch.stack([_frames(e, horizon) for e in episodes])  # (M, H + 3, E, 4, 4)
     joints = torch.stack([_joints(e, horizon) for e in episodes])  # (M, H + 3, 2, J)
     actions = torch.stack([_actions(e, horizon) for e in episodes])
-    layout, clouds = _starting_clouds(dataset, seen)
+    begin = start or observed_start(dataset)
     chunks = []
     for k in range(0, len(episodes), _CHUNK):
         part = slice(k, k + _CHUNK)
-        start = RigidState(layout, clouds[part], frames[part, :3].flip(1), joints[part, 2])
         oracle = (frames[part, 3:], joints[part, 3:]) if oracle_effector else None
-        chunks.append(_roll(model, start, actions[part], oracle))
+        chunks.append(_roll(model, begin[part], actions[part], oracle))
     states = _joined(chunks)
-    return Rollouts(dataset, episodes, states.poses(), frames[:, 3:], joints[:, 3:], actions, states, lengths)
+    poses = states.poses()
+    third = frames[:, OBSERVED - 1]
+    if not torch.equal(begin.poses(), third):
+        poses = poses @ torch.linalg.inv(begin.poses()).unsqueeze(1) @ third.unsqueeze(1)
+    return Rollouts(dataset, episodes, poses, frames[:, 3:], joints[:, 3:], actions, states, lengths)
 
 
-def _starting_clouds(dataset: Dataset, seen: np.ndarray | None) -> tuple[Layout, Tensor]:
-    """Canonical points (M, n, 3) that each predicted episode starts with, and their layout."""
+def observed_start(dataset: Dataset, seen: np.ndarray | None = None) -> RigidState:
+    """State (M,) of the third step of each episode that is predicted.
+
+    Args:
+        dataset: episodes of one split.
+        seen: points (F, N) of each frame that a camera sees (:func:`pwm_gym.data.visibility`), from which a partial
+            cloud is drawn; None takes the complete one.
+    """
     lengths, clouds = np.array([len(e) for e in dataset.episodes]), torch.as_tensor(dataset.clouds)
     long = lengths > OBSERVED - 1
-    if seen is None:
-        return dataset.layout, clouds.expand(int(long.sum()), -1, -1)
-    third = (np.cumsum(lengths + 1) - lengths - 1 + OBSERVED - 1)[long]
-    return partial_clouds(dataset.layout, clouds, torch.as_tensor(seen[third]), torch.Generator().manual_seed(0))
+    episodes = [e for e, kept in zip(dataset.episodes, long, strict=True) if kept]
+    layout, canonical = dataset.layout, clouds.expand(len(episodes), -1, -1)
+    if seen is not None:
+        third = torch.as_tensor(seen[(np.cumsum(lengths + 1) - lengths - 1 + OBSERVED - 1)[long]])
+        layout, canonical = partial_clouds(layout, clouds, third, torch.Generator().manual_seed(0))
+    frames = torch.stack([_frames(e, 0) for e in episodes])  # (M, 3, E, 4, 4)
+    joints = torch.stack([torch.as_tensor(e.joints[OBSERVED - 1]) for e in episodes])
+    return RigidState(layout, canonical, frames.flip(1), joints)
+
+
+def completed_start(dataset: Dataset, look: RenderedObserver) -> RigidState:
+    """State (M,) of the third step of each episode that is predicted, as perception makes it of three views.
+
+    Args:
+        dataset: episodes of one split.
+        look: sees them.
+    """
+    scenes = []
+    for index, episode in enumerate(dataset.episodes):
+        if len(episode) > OBSERVED - 1:
+            look.reset(index)
+            scenes.append([look(dataset.scene(episode, step)).scene for step in range(OBSERVED)][-1])
+    return batch_state(scenes)
 
 
 def _frames(episode: Episode, horizon: int) -> Tensor:
@@ -191,7 +230,7 @@ def validation_metrics(model: WorldModel, dataset: Dataset, seen: np.ndarray | N
     ``seen`` tells a model of partial clouds which points a camera sees (:func:`predict`).
     """
     out = {}
-    rollouts = predict(model, dataset, seen=seen)
+    rollouts = predict(model, dataset, start=None if seen is None else observed_start(dataset, seen))
     kinds = np.array([KINDS[e.kind] for e in rollouts.episodes])
     for name, wanted in (("demonstration", ("expert", "randomised")), ("practice", ("practice",))):
         chosen = torch.as_tensor(np.isin(kinds, wanted))

@@ -25,7 +25,7 @@ from pwm_gym.errors import unknown_name
 from pwm_gym.evaluation.planning import planning_table, run_in_simulator
 from pwm_gym.evaluation.record import describe_commit
 from pwm_gym.evaluation.report import evaluate_rollouts
-from pwm_gym.evaluation.rollouts import validation_metrics
+from pwm_gym.evaluation.rollouts import observed_start, validation_metrics
 from pwm_gym.files import write_atomically
 from pwm_gym.planning import Agent
 from pwm_gym.process import prepare_process
@@ -273,8 +273,10 @@ def _run(piece: _Piece) -> None:
     minutes = (time.perf_counter() - begun) / 60
     model = checkpoint.model
     test = load_split(piece.data, "test", piece.task)
-    seen = visible_split(piece.data, "test", task, test) if row.view == "partial" else None
-    table = evaluate_rollouts(model, task, test, every=10, progress=False, seen=seen)
+    start = None
+    if row.view == "partial":
+        start = observed_start(test, visible_split(piece.data, "test", task, test))
+    table = evaluate_rollouts(model, task, test, every=10, progress=False, start=start)
     result = {
         "commit": piece.commit,
         "seed": piece.seed,

@@ -10,16 +10,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.spatial import ConvexHull, cKDTree
 
-from pwm_gym.errors import PwmGymError, unknown_name
+from pwm_gym.errors import PwmGymError, look_up
 
 __all__ = ["Registration", "Tracker", "TrackingConfig", "register"]
-
-_Value = TypeVar("_Value")
 
 _NEIGHBOURS = 9  # points that span a normal: fewer are noisy, more round off edges
 _SLIDE = 0.05  # weight of distances along the surface: edges hold what planes let slide (0.02 to 0.15 do equally well)
@@ -93,7 +91,7 @@ class Tracker:
         self._surfaces: dict[str, _Surface] = {}
         self._history: dict[str, np.ndarray] = {}
         for name, cloud in clouds.items():
-            self.track(name, cloud, _look_up("pose", name, poses))
+            self.track(name, cloud, look_up("pose", name, poses))
 
     def track(self, name: str, cloud: np.ndarray, pose: np.ndarray) -> None:
         """Follow an entity from ``pose`` (4, 4) on; a known one gets a new ``cloud`` (n, 3) and is at rest."""
@@ -109,7 +107,7 @@ class Tracker:
 
     def history(self, name: str) -> np.ndarray:
         """Poses (3, 4, 4) of an entity after the last update, the one before and the one before that."""
-        return _look_up("entity", name, self._history).copy()
+        return look_up("entity", name, self._history).copy()
 
     def points(self) -> dict[str, np.ndarray]:
         """Entity name -> its complete cloud (n, 3) where it is now, seen or not."""
@@ -141,7 +139,7 @@ class Tracker:
             PwmGymError: an unknown entity, a carrier without motion, or points of a wrong shape or not finite.
         """
         for name in partials:
-            _look_up("entity", name, self._surfaces)
+            look_up("entity", name, self._surfaces)
         guesses = self._expect(carried_by or {}, motion or {})
         found = {n: self._find(n, partials[n], guesses[n], eye) for n in partials}
         self.registrations = {name: fit for name, fit in found.items() if fit is not None}
@@ -154,8 +152,8 @@ class Tracker:
         """Where entities are if they rest, or move as their carriers do."""
         guesses = self.poses
         for name, carrier in carried_by.items():
-            step = _checked_pose(f"the motion of {carrier!r}", _look_up("motion", carrier, motion))
-            guesses[name] = step @ _look_up("entity", name, guesses)
+            step = _checked_pose(f"the motion of {carrier!r}", look_up("motion", carrier, motion))
+            guesses[name] = step @ look_up("entity", name, guesses)
         return guesses
 
     def _find(self, name: str, partial: np.ndarray, guess: np.ndarray, eye: np.ndarray | None) -> Registration | None:
@@ -335,9 +333,3 @@ def _checked_pose(name: str, pose: np.ndarray) -> np.ndarray:
     if not (np.isfinite(array).all() and gap < 1e-3 and np.linalg.det(rotation) > 0):
         raise PwmGymError(f"{name} is not rigid: its rotation is off by {gap:.3g}")
     return array
-
-
-def _look_up(kind: str, name: str, known: Mapping[str, _Value]) -> _Value:
-    if name not in known:
-        raise unknown_name(kind, name, known)
-    return known[name]

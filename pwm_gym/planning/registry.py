@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pwm_gym.errors import PwmGymError, unknown_name
+from pwm_gym.errors import PwmGymError, look_up
 from pwm_gym.planning.cem import CEM, CEMConfig
 from pwm_gym.planning.gradient import GradientConfig, GradientPlanner
 from pwm_gym.planning.mppi import MPPI, MPPIConfig
@@ -28,9 +28,7 @@ def get_planner_config(name: str) -> SamplingConfig:
     Raises:
         UnknownNameError: listing the known planners and the nearest one.
     """
-    if name not in PLANNERS:
-        raise unknown_name("planner", name, PLANNERS)
-    return PLANNERS[name]
+    return look_up("planner", name, PLANNERS)
 
 
 def build_planner(config: SamplingConfig, action_size: int, device: str = "cpu") -> Planner:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
@@ -16,7 +16,7 @@ import torch
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from pwm_gym.errors import PwmGymError, unknown_name
+from pwm_gym.errors import PwmGymError, look_up, unknown_name
 from pwm_gym.scene.cloud import sample_clouds
 from pwm_gym.scene.layout import Layout
 from pwm_gym.scene.se3 import transform
@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     import trimesh
 
 __all__ = ["RobotCloud"]
-
-_Value = TypeVar("_Value")
 
 _MOVABLE = ("continuous", "prismatic", "revolute")
 _GEOMETRIES = ("collision", "visual")
@@ -107,7 +105,7 @@ class RobotCloud:
         robot = _Urdf(Path(urdf))
         entities = _name_links(list(links), names or {})
         meshes = {entity: robot.mesh(link, geometry, convex) for entity, link in entities.items()}
-        counts = [(name, points if isinstance(points, int) else _look_up("entity", name, points)) for name in meshes]
+        counts = [(name, points if isinstance(points, int) else look_up("entity", name, points)) for name in meshes]
         layout = Layout.build(counts, effectors=tuple(entities))
         return cls(robot, entities, joints, meshes, layout, seed)
 
@@ -166,7 +164,7 @@ class _Drive(NamedTuple):
     def build(cls, urdf: _Urdf, given: Sequence[str], links: Sequence[str], order: Sequence[str]) -> _Drive:
         """Of the ``given`` joints, for a chain's joints in its ``order``; all that move ``links`` must get values."""
         for name in given:
-            _look_up("joint", name, urdf.joints)
+            look_up("joint", name, urdf.joints)
         found = {name: urdf.follow(name, given) for name in order}
         for link in links:
             for joint in urdf.path(link):
@@ -215,7 +213,7 @@ class _Urdf:
         import trimesh
 
         parts = []
-        for shape in _look_up("link", link, self._links).findall(geometry):
+        for shape in look_up("link", link, self._links).findall(geometry):
             mesh = self._shape(shape).convex_hull if convex else self._shape(shape)
             mesh.apply_transform(_origin(shape))
             parts.append(mesh)
@@ -238,7 +236,7 @@ class _Urdf:
         if (mimic := self.joints[name].mimic) is None:
             return None
         leader, multiplier, offset = mimic
-        found = self.follow(_look_up("joint", leader, self.joints).name, given)
+        found = self.follow(look_up("joint", leader, self.joints).name, given)
         return found and (found[0], multiplier * found[1], multiplier * found[2] + offset)
 
     def skeleton(self) -> bytes:
@@ -340,9 +338,3 @@ def _name_links(links: Sequence[str], names: Mapping[str, str]) -> dict[str, str
             raise unknown_name("link", link, links)
     entities = {link: entity for entity, link in names.items()}
     return {entities.get(link, link): link for link in links}
-
-
-def _look_up(kind: str, name: str, known: Mapping[str, _Value]) -> _Value:
-    if name not in known:
-        raise unknown_name(kind, name, known)
-    return known[name]

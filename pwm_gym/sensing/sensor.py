@@ -14,7 +14,7 @@ import numpy as np
 from scipy import ndimage
 from scipy.special import ndtr
 
-from pwm_gym.errors import PwmGymError, unknown_name
+from pwm_gym.errors import PwmGymError, look_up
 from pwm_gym.sensing.camera import DepthCamera
 
 __all__ = ["SENSORS", "SensorModel", "get_sensor", "surface_normals"]
@@ -160,9 +160,7 @@ def get_sensor(name: str) -> SensorModel:
     Raises:
         UnknownNameError: :data:`SENSORS` does not hold it.
     """
-    if name not in SENSORS:
-        raise unknown_name("sensor", name, SENSORS)
-    return SENSORS[name]
+    return look_up("sensor", name, SENSORS)
 
 
 def _slope(values: np.ndarray) -> np.ndarray:

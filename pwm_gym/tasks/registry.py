@@ -8,7 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
-from pwm_gym.errors import unknown_name
+from pwm_gym.errors import look_up
 from pwm_gym.robots import Control, RobotCloud
 from pwm_gym.scene import Layout
 from pwm_gym.sim import Simulator
@@ -81,6 +81,4 @@ def get_task(name: str) -> Task:
     Raises:
         UnknownNameError: listing the known tasks and the nearest one.
     """
-    if name not in TASKS:
-        raise unknown_name("task", name, TASKS)
-    return TASKS[name]
+    return look_up("task", name, TASKS)

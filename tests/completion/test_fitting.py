@@ -1,4 +1,7 @@
 import json
+import socket
+import subprocess
+import sys
 import warnings
 from dataclasses import replace
 
@@ -76,6 +79,19 @@ def test_the_command_trains_measures_and_draws(folder, tmp_path, capsys):
     assert "seen, clean" in capsys.readouterr().out
     main(["complete", "--mesh", str(folder / "can.stl"), "--checkpoint", str(out / "checkpoint")])
     assert "can" in capsys.readouterr().out
+
+
+def test_two_processes_share_the_training(tmp_path):
+    with socket.socket() as s:
+        s.bind(("127.0.0.1", 0))
+        port = s.getsockname()[1]
+    launcher = f"-m torch.distributed.run --nproc-per-node 2 --master-port {port} -m pwm_gym complete --train".split()
+    settings = f"--out {tmp_path} --shapes 2 --phases 1 2 4 3 1 4 --threads 1".split()
+    done = subprocess.run([sys.executable, *launcher, *settings], capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr[-3000:]
+    assert done.stdout.count("checkpoint: ") == 1
+    net, _ = load_completion(tmp_path / "checkpoint")
+    assert all(p.isfinite().all() for p in net.parameters())
 
 
 def test_the_command_needs_something_to_do():

@@ -3,8 +3,7 @@ import pytest
 import trimesh
 from manifold3d import Manifold
 
-from pwm_gym.completion import shapes
-from pwm_gym.completion.shapes import FAMILIES, MAX_FACES, random_shape
+from pwm_gym.completion.shapes import FAMILIES, MAX_FACES, families, random_shape
 from pwm_gym.errors import PwmGymError, UnknownNameError
 
 
@@ -97,7 +96,7 @@ def test_parameters_that_fit_no_solid_are_drawn_anew(monkeypatch):
             raise PwmGymError("degenerate")
         return box(rng)
 
-    monkeypatch.setitem(shapes.FAMILIES, "box", seldom)
+    monkeypatch.setitem(FAMILIES, "box", seldom)
     assert random_shape(np.random.default_rng(0), "box").is_volume
     assert len(set(calls)) == 4
 
@@ -106,7 +105,7 @@ def test_a_family_that_never_succeeds_says_so(monkeypatch):
     def never(rng):
         raise PwmGymError("degenerate")
 
-    monkeypatch.setitem(shapes.FAMILIES, "box", never)
+    monkeypatch.setitem(FAMILIES, "box", never)
     with pytest.raises(PwmGymError, match="no box in 20 attempts: degenerate"):
         random_shape(np.random.default_rng(0), "box")
 
@@ -114,7 +113,7 @@ def test_a_family_that_never_succeeds_says_so(monkeypatch):
 def test_what_is_no_solid_is_refused():
     for nothing in (Manifold(), Manifold.cube([1, 1, 0]), Manifold.cube([1, 1, 1]) - Manifold.cube([2, 2, 2])):
         with pytest.raises(PwmGymError, match="faces around a volume of 0 "):
-            shapes._shape(lambda rng, solid=nothing: solid, np.random.default_rng(0))
+            families._shape(lambda rng, solid=nothing: solid, np.random.default_rng(0))
 
 
 def test_an_unknown_family_is_named():

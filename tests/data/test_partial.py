@@ -7,6 +7,7 @@ from pwm_gym.dynamics import build_model
 from pwm_gym.dynamics.training import TrainConfig, rollout_loss
 from pwm_gym.errors import DatasetError
 from pwm_gym.evaluation import evaluate_rollouts, predict
+from pwm_gym.evaluation.rollouts import observed_start
 from pwm_gym.robots import Control
 from pwm_gym.scene.se3 import matrix_from_pose7
 from pwm_gym.tasks import get_task
@@ -95,9 +96,10 @@ def test_the_hybrid_loss_needs_no_correspondences(train_split, seen):
 
 def test_a_model_of_partial_clouds_is_scored_against_the_complete_truth(train_split, seen):
     still = build_model("still", train_split.layout, 7, Control())
-    rollouts = predict(still, train_split, seen=seen)
+    start = observed_start(train_split, seen)
+    rollouts = predict(still, train_split, start=start)
     assert rollouts.states.layout.points == 4 * PARTIAL_POINTS
-    partial = evaluate_rollouts(still, get_task("PickCube"), train_split, every=20, progress=False, seen=seen)
+    partial = evaluate_rollouts(still, get_task("PickCube"), train_split, every=20, progress=False, start=start)
     complete = evaluate_rollouts(still, get_task("PickCube"), train_split, every=20, progress=False)
     for split in complete:
         assert partial[split]["chamfer_l1"] > complete[split]["chamfer_l1"]

@@ -7,6 +7,7 @@ import torch
 
 from pwm_gym.data.partial import PARTIAL_POINTS, PartialView
 from pwm_gym.dynamics import rollout
+from pwm_gym.errors import UnknownNameError
 from pwm_gym.evaluation import TABLES
 from pwm_gym.evaluation import members as table
 from pwm_gym.evaluation.members import Member, run_planning_table
@@ -45,6 +46,13 @@ def test_other_settings_are_another_piece(quick, data_folder, tmp_path, monkeypa
     monkeypatch.setattr(table, "_MAX_STEPS", 1)
     (row,) = run_planning_table(data_folder, tmp_path, members=(BASELINE,))["rows"]
     assert row["modes"]["open loop"]["runs"][0]["steps"] == 1
+
+
+def test_members_are_chosen_by_name():
+    assert table.get_members() == table.MEMBERS
+    assert [m.name for m in table.get_members(["Partial 3DPWM"])] == ["Partial 3DPWM"]
+    with pytest.raises(UnknownNameError, match=r"unknown model of the planning table 'Partial'; known: .*3DPWM"):
+        table.get_members(["Partial"])
 
 
 def test_a_piece_is_named_after_all_that_decides_it(tmp_path, monkeypatch):

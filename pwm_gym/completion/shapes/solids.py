@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from manifold3d import Manifold
 
-from pwm_gym.completion.primitives import (
+from pwm_gym.completion.shapes.primitives import (
     capsule,
     chance,
     cylinder,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from manifold3d import Manifold
 
-from pwm_gym.completion.primitives import (
+from pwm_gym.completion.shapes.primitives import (
     bend,
     capsule,
     chance,

@@ -12,8 +12,8 @@ import numpy as np
 import trimesh
 from manifold3d import Manifold
 
-from pwm_gym.completion import fruit, solids, tools, vessels
 from pwm_gym.completion.meshes import normalise
+from pwm_gym.completion.shapes import fruit, solids, tools, vessels
 from pwm_gym.errors import PwmGymError, unknown_name
 
 __all__ = ["FAMILIES", "MAX_FACES", "random_shape"]
