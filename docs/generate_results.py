@@ -39,7 +39,7 @@ _LIMITS = """## What these figures do not show
   model (0.003); the paper trains by AdamW alone.
 - Training, validation and test differ by seeds alone. Actions are a script's and uniform noise; a planner's own actions
   are seen only in the planning figures.
-- Intervals of planning success are of some twenty episodes, and wide.
+- Planning success is of seeded episodes of one task; where there are twenty or fewer, the intervals are wide.
 - Trainings of the tables are far shorter than the paper's, and as long for every row of a table in sample-steps, not in
   minutes: a network of points takes many times longer a step than one of entities.
 """
@@ -52,8 +52,8 @@ def page() -> str:
         _rollouts(),
         _long(),
         _calibration(),
-        _planning(),
-        _planning_table(),
+        _planning("planning_default", "Planning with the default model"),
+        _planning("table_planning"),
         *_tables(),
         _speed(),
         _LIMITS,
@@ -157,31 +157,6 @@ def _calibration() -> str:
     return f"## Does the model know how far off it is?\n\n{about}\n{table}\n{picture}\n"
 
 
-_RUNS = {
-    "closed loop": "plan_pick_cube",
-    "chunks of 20": "plan_pick_cube_chunk20",
-    "open loop": "plan_pick_cube_open_loop",
-}
-
-
-def _planning() -> str:
-    found = {mode: result for mode, name in _RUNS.items() if (result := _read(name)) is not None}
-    if not found:
-        return ""
-    rows = [[mode, *_success(result)] for mode, result in found.items()]
-    commands = "\n".join(result["command"] for result in found.values())
-    links = ", ".join(f"[`{_RUNS[m]}.json`](../benchmarks/results/{_RUNS[m]}.json)" for m in found)
-    first = next(iter(found.values()))
-    about = _paragraph(
-        f"MPPI in the shipped model ({first['settings']['samples']} samples, horizon {first['settings']['horizon']}),",
-        "executed in the simulator. In closed loop the planner looks at every step, in open loop at the first scene",
-        "alone.",
-    )
-    commits = ", ".join(sorted({result["commit"] for result in found.values()}))
-    where = f"{links}; {first['machine']['cores']} CPU cores, commit {commits}.\n"
-    return f"## Planning\n\n```\n{commands}\n```\n\n{where}\n{about}\n{_grid(_HEAD, rows)}"
-
-
 _HEAD = ["", "successes", "95 % interval", "mean steps of successes", "seconds an action, median"]
 
 
@@ -195,17 +170,22 @@ def _success(result: dict[str, Any]) -> list[str]:
     ]
 
 
-def _planning_table() -> str:
-    result = _read("table_planning")
+def _planning(name: str, title: str = "") -> str:
+    """Success of every model and mode of a planning table; ``title`` stands for its caption."""
+    result = _read(name)
     if result is None:
         return ""
     rows = []
     for row in result["rows"]:
-        name = f"{row['row']}{', partial clouds' if row['partial'] else ''}, {row['samples']} samples"
-        rows += [[name, mode, *_success(outcome)] for mode, outcome in row["modes"].items()]
+        label = f"{row['row']}{', partial clouds' if row['partial'] else ''}, {row['samples']} samples"
+        rows += [[label, mode, *_success(outcome)] for mode, outcome in row["modes"].items()]
     commits = sorted({str(mode["commit"]) for row in result["rows"] for mode in row["modes"].values()})
-    source = _source("table_planning", {**result, "commit": ", ".join(commits)})
-    return f"## {result['caption']}\n\n{source}\n{_grid(['model', *_HEAD], rows)}"
+    source = _source(name, {**result, "commit": ", ".join(commits)})
+    about = _paragraph(
+        f"MPPI with horizon {result['horizon']}, executed in the simulator. In closed loop the planner looks at every",
+        "step, in open loop at the first scene alone.",
+    )
+    return f"## {title or result['caption']}\n\n{source}\n{about}\n{_grid(['model', *_HEAD], rows)}"
 
 
 def _tables() -> list[str]:
