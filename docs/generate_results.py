@@ -185,7 +185,23 @@ def _planning(name: str, title: str = "") -> str:
         f"MPPI with horizon {result['horizon']}, executed in the simulator. In closed loop the planner looks at every",
         "step, in open loop at the first scene alone.",
     )
-    return f"## {title or result['caption']}\n\n{source}\n{about}\n{_grid(['model', *_HEAD], rows)}"
+    table = _grid(["model", *_HEAD], rows)
+    return f"## {title or result['caption']}\n\n{source}\n{about}\n{table}{_failures(result['rows'])}"
+
+
+def _failures(rows: list[dict[str, Any]]) -> str:
+    """Every failed seed, with its picture (``pwm-gym view``) where one is there."""
+    lines = []
+    for row in rows:
+        for mode, outcome in row["modes"].items():
+            seeds = []
+            for seed in outcome["failed_seeds"]:
+                picture = f"images/failures/{mode.replace(' ', '-')}-{seed}.png"
+                drawn = row["row"].startswith("compact") and (PAGE.parent / picture).exists()
+                seeds.append(f"[{seed}]({picture})" if drawn else str(seed))
+            if seeds:
+                lines.append(f"- {row['row']}, {mode}: {', '.join(seeds)}")
+    return "\nFailed seeds:\n\n" + "\n".join(lines) + "\n" if lines else ""
 
 
 def _tables() -> list[str]:
