@@ -79,5 +79,5 @@ class CompletedSight:
             return {}
         state, goal = batch_state([self._last]), torch.as_tensor(self._last.goal)[None]
         _, info = cost_info(state, torch.as_tensor(action)[None], goal, get_grasp(self._task.grasp))
-        root = next(e.name for e in self._task.layout if e.effector and e.slider is None)
-        return {self._task.object: root} if bool(info["grasped"][0]) else {}
+        layout = self._task.layout
+        return {self._task.object: layout.names[layout.root]} if bool(info["grasped"][0]) else {}

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from pwm_gym.errors import unknown_name
 from pwm_gym.scene import Layout, Scene
 from pwm_gym.sim import Simulator
 from pwm_gym.tasks import Task
@@ -19,6 +18,7 @@ if TYPE_CHECKING:
 __all__ = ["OBSERVATIONS", "Sensing", "Sight", "build_sight"]
 
 OBSERVATIONS = ("complete", "completed", "partial")
+"""What an environment may show."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,13 +62,7 @@ class _CompleteSight:
 def build_sight(
     observation: str, task: Task, layout: Layout, simulator: Simulator, clouds: np.ndarray, sensing: Sensing
 ) -> Sight:
-    """The sight called ``observation``.
-
-    Raises:
-        UnknownNameError: listing the known ones.
-    """
-    if observation not in OBSERVATIONS:
-        raise unknown_name("observation", observation, OBSERVATIONS)
+    """The sight called ``observation``, one of :data:`OBSERVATIONS`."""
     if observation == "complete":
         return _CompleteSight()
     from pwm_gym.envs.camera import CompletedSight, PartialSight  # perception is loaded where it is used

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import gymnasium as gym
@@ -93,10 +94,12 @@ class SimEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
         self.action_space = action_space(self.task.action_size)
         self.observation_space = observation_space(self.layout, self.task.goal_size)
         self.simulator: Simulator = self.task.simulator()
-        self._full_clouds = sample_clouds(self.simulator.meshes(), self.task.layout, self.task.cloud_seed)
-        clouds = resample_clouds(self._full_clouds, self.task.layout, self.layout)
-        self._sight = build_sight(observation, self.task, self.layout, self.simulator, clouds, sensing or Sensing())
-        self._scene: Scene | None = None
+        clouds = sample_clouds(self.simulator.meshes(), self.task.layout, self.task.cloud_seed)
+        self._clouds = resample_clouds(clouds, self.task.layout, self.layout)
+        sensing = sensing or Sensing()
+        self._sight = build_sight(observation, self.task, self.layout, self.simulator, self._clouds, sensing)
+        self._scene: Scene | None = None  # that the episode began with
+        self._now: Scene | None = None
         self._shown: Scene | None = None
         self._poses: deque[np.ndarray] = deque(maxlen=3)  # newest first
         self._action = np.zeros(self.task.action_size, np.float32)
@@ -123,19 +126,10 @@ class SimEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
         Args:
             truth: whether to give the simulator's, which its own reset takes too, instead of what is observed.
         """
-        if self._scene is None:
+        scene = self._now if truth else self._shown
+        if scene is None:
             raise PwmGymError("the environment has no scene yet; call reset() first")
-        if not truth and self._shown is not None:
-            return self._shown
-        return Scene(
-            task=self.task.name,
-            layout=self.layout,
-            clouds=self._scene.clouds,
-            poses=np.stack(self._poses),
-            goal=self._scene.goal,
-            joints=self.simulator.joints(),
-            last_action=self._action.copy(),
-        )
+        return scene
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -154,9 +148,8 @@ class SimEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
             self.simulator.reset(drawn)
             poses = self.simulator.poses()
             self._poses = deque([poses] * 3, maxlen=3)
-            clouds = resample_clouds(self._full_clouds, self.task.layout, self.layout)
             goal = self.simulator.goal()
-            self._scene = Scene(self.task.name, self.layout, clouds, np.stack([poses] * 3), goal)
+            self._scene = Scene(self.task.name, self.layout, self._clouds, np.stack([poses] * 3), goal)
             self._action = last_action(self._scene, self.task.action_size)
         self._sight.reset(int(self.np_random.integers(2**31)))
         self._show()
@@ -183,8 +176,15 @@ class SimEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
         return self._observe(), float(judgement.reward[0]), outcome.success, False, info
 
     def _show(self) -> None:
-        self._shown = None
-        self._shown = self._sight(self.scene(truth=True))
+        """Read the present scene off the simulator, and what is shown of it."""
+        assert self._scene is not None
+        self._now = replace(
+            self._scene,
+            poses=np.stack(self._poses),
+            joints=self.simulator.joints(),
+            last_action=self._action.copy(),
+        )
+        self._shown = self._sight(self._now)
 
     def _judge(self) -> Judgement:
         return self.rules.judge(self.state, torch.as_tensor(self._action)[None], self.goal)

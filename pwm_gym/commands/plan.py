@@ -60,11 +60,13 @@ class Plan:
 
     def run(self) -> None:
         """Run the episodes and print the success table."""
+        import gymnasium as gym
+
         import pwm_gym  # noqa: F401  (registers)
         from pwm_gym.dynamics import load_checkpoint, resolve
         from pwm_gym.envs import Sensing
         from pwm_gym.errors import unknown_name
-        from pwm_gym.evaluation import planning_table, run_in_simulator, save_runs, write_results
+        from pwm_gym.evaluation import planning_table, run_episodes, save_runs, write_results
         from pwm_gym.planning import Agent
         from pwm_gym.process import prepare_process
         from pwm_gym.seeds import RANGES, seed_range
@@ -79,8 +81,10 @@ class Plan:
         seeds = seed_range(self.seeds, self.episodes, self.offset)
         agent = Agent(model, self.task, config, penalties=self._penalties(task), caution=self.caution)
         sensing = Sensing(sensor=self.sensor, completer=self.completer)
-        sight = {"observation": self.observation, "sensing": sensing}
-        runs = run_in_simulator(task, agent, seeds, self.max_steps, self.chunk, settings=sight)
+        twin = f"pwm/{self.task}Sim-v0"
+        settings: dict[str, Any] = {"observation": self.observation, "sensing": sensing}
+        with gym.make(twin, max_episode_steps=self.max_steps, **settings) as env:
+            runs = run_episodes(env, agent, seeds, self.max_steps, self.chunk)
         table = planning_table(runs)
         _print(self.task, self.chunk, table)
         if self.save is not None:

@@ -14,7 +14,7 @@ __all__ = ["gather_points", "nearest_points"]
 def nearest_points(queries: Tensor, points: Tensor, count: int = 1) -> Tensor:
     """Indices (B, m, count) of the points (B, n, 3) nearest to queries (B, m, 3), in no particular order.
 
-    On a CPU k-d trees take a half (12 neighbours of 500 points) to a tenth (one of 2,000) of the time of all distances.
+    On a CPU k-d trees are faster than all distances, the more so for many points and few neighbours.
     """
     if queries.is_cuda:
         return torch.cdist(queries, points).topk(count, -1, largest=False, sorted=False).indices

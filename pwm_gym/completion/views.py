@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 __all__ = ["Batch", "ObjectView", "ViewConfig", "Views"]
 
 _LAYOUT = Layout.build([("object", 1)])
+_ATTEMPTS = 100
 _SURFACE = 8192  # points of each object's surface that targets are drawn from
 
 
@@ -127,13 +128,18 @@ class Views:
         return self._surfaces[index]
 
     def view(self, index: int, rng: np.random.Generator) -> ObjectView:
-        """A view of one object; views that show fewer than 32 points are drawn again."""
+        """A view of one object; views that show fewer than 32 points are drawn again.
+
+        Raises:
+            PwmGymError: a hundred views in a row do.
+        """
         if index not in self._casters:
             self._casters[index] = RayCaster({"object": self.meshes[index]}, _LAYOUT, table=False)
-        while True:
+        for _ in range(_ATTEMPTS):
             view = self._attempt(self._casters[index], rng)
             if len(view.partial) >= LEAST:
                 return view
+        raise PwmGymError(f"mesh {index} shows fewer than {LEAST} points in {_ATTEMPTS} views; expected a thicker one")
 
     def _attempt(self, caster: RayCaster, rng: np.random.Generator) -> ObjectView:
         c = self.config

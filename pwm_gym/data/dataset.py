@@ -127,10 +127,9 @@ class Windows:
         position = self._poses[:, :, :3, 3]
         move = torch.zeros_like(position)
         move[:-1] = position[1:] - position[:-1]
-        root = next(i for i, e in enumerate(layout) if e.effector and e.slider is None)
         objects = [i for i, e in enumerate(layout) if not e.effector]
         own = move[:, objects].norm(dim=-1)
-        relative = (move[:, objects] - move[:, root, None]).norm(dim=-1)
+        relative = (move[:, objects] - move[:, layout.root, None]).norm(dim=-1)
         return ((torch.minimum(own, relative) > _STILL).any(1) & (self._left > 0)).float()
 
     def _table(self, horizon: int) -> tuple[Tensor, Tensor]:

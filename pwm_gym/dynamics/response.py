@@ -37,7 +37,7 @@ class EndEffector(nn.Module):
 
     def __init__(self, layout: Layout) -> None:
         super().__init__()
-        self.root = next(i for i, e in enumerate(layout) if e.effector and e.slider is None)
+        self.root = layout.root
         self.sliding = [i for i, e in enumerate(layout) if e.slider is not None]
         sliders = [e.slider for e in layout if e.slider is not None]
         origins = matrix_from_pose7(torch.tensor([s.origin for s in sliders]).reshape(-1, 7))

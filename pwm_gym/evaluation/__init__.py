@@ -2,7 +2,7 @@
 
 from pwm_gym.evaluation.members import run_planning_table
 from pwm_gym.evaluation.metrics import chamfer, pearson
-from pwm_gym.evaluation.planning import planning_table, run_episodes, run_in_simulator, save_runs, wilson
+from pwm_gym.evaluation.planning import planning_table, run_episodes, save_runs, wilson
 from pwm_gym.evaluation.record import write_results
 from pwm_gym.evaluation.report import evaluate_rollouts
 from pwm_gym.evaluation.rollouts import long_rollouts, predict, validation_metrics
@@ -17,7 +17,6 @@ __all__ = [
     "planning_table",
     "predict",
     "run_episodes",
-    "run_in_simulator",
     "run_planning_table",
     "run_table",
     "save_runs",

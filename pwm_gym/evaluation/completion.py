@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.spatial import cKDTree
 from scipy.stats import spearmanr
 from tqdm import tqdm
 
 from pwm_gym.completion import Completer, HullCompleter, Views
+from pwm_gym.evaluation.metrics import nearest_distances
 from pwm_gym.scene import spread
 
 __all__ = ["CompletionScore", "evaluate_completion", "score_completion"]
@@ -37,8 +37,7 @@ class CompletionScore:
 
 def score_completion(points: np.ndarray, truth: np.ndarray) -> CompletionScore:
     """Score points (n, 3) against points (m, 3) of the true surface."""
-    there, _ = cKDTree(truth).query(points)
-    back, _ = cKDTree(points).query(truth)
+    there, back = nearest_distances(points, truth, order=2)
     precision, recall = float((there < _WITHIN).mean()), float((back < _WITHIN).mean())
     f_score = 2 * precision * recall / max(precision + recall, 1e-9)
     centroid = float(np.linalg.norm(points.mean(0) - truth.mean(0)))

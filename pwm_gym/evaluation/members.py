@@ -9,13 +9,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import gymnasium as gym
 import torch
 
 from pwm_gym.data import fit_baseline, load_split
 from pwm_gym.data.partial import PartialView
 from pwm_gym.dynamics import WorldModel, load_checkpoint, resolve
 from pwm_gym.errors import look_up
-from pwm_gym.evaluation.planning import planning_table, run_in_simulator, save_runs
+from pwm_gym.evaluation.planning import planning_table, run_episodes, save_runs
 from pwm_gym.evaluation.record import describe_commit
 from pwm_gym.evaluation.tables import row_folder, trained
 from pwm_gym.files import write_atomically
@@ -142,6 +143,7 @@ def _plan(
         observe = PartialView(simulator.meshes(), task.layout)
         simulator.close()
     agent, seeds = Agent(model, task.name, config), seed_range("plan_test", episodes)
-    runs = run_in_simulator(task, agent, seeds, _MAX_STEPS, chunk, observe)
+    with gym.make(f"pwm/{task.name}Sim-v0", max_episode_steps=_MAX_STEPS) as env:
+        runs = run_episodes(env, agent, seeds, _MAX_STEPS, chunk, observe)
     save_runs([run for run in runs if not run.success], folder)
     return planning_table(runs)

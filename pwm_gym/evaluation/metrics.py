@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
-__all__ = ["chamfer", "pearson"]
+__all__ = ["chamfer", "nearest_distances", "pearson"]
 
 
 def chamfer(a: np.ndarray, b: np.ndarray, order: int = 1) -> float:
@@ -14,9 +14,15 @@ def chamfer(a: np.ndarray, b: np.ndarray, order: int = 1) -> float:
     Half the sum of both directions' mean nearest distances; ``order`` 1 sums absolute coordinates (the paper's
     Chamfer L1), 2 is Euclidean.
     """
-    forward, _ = cKDTree(b).query(a, p=order)
-    backward, _ = cKDTree(a).query(b, p=order)
-    return 0.5 * float(forward.mean() + backward.mean())
+    there, back = nearest_distances(a, b, order)
+    return 0.5 * float(there.mean() + back.mean())
+
+
+def nearest_distances(a: np.ndarray, b: np.ndarray, order: int = 1) -> tuple[np.ndarray, np.ndarray]:
+    """Distances in metres, (n,) of points ``a`` (n, 3) to the nearest of ``b`` (m, 3), and (m,) the other way."""
+    there, _ = cKDTree(b).query(a, p=order)
+    back, _ = cKDTree(a).query(b, p=order)
+    return there, back
 
 
 def pearson(a: np.ndarray, b: np.ndarray) -> float | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +13,8 @@ from tqdm import tqdm
 
 from pwm_gym.planning import Agent, Run, execute
 from pwm_gym.scene import Scene
-from pwm_gym.tasks import Task
 
-__all__ = ["planning_table", "run_episodes", "run_in_simulator", "save_runs", "wilson"]
+__all__ = ["planning_table", "run_episodes", "save_runs", "wilson"]
 
 
 def run_episodes(
@@ -36,24 +35,6 @@ def run_episodes(
                 runs.append(run)
             bar.set_postfix(success=f"{sum(r.success for r in runs)}/{len(runs)}")
     return runs
-
-
-def run_in_simulator(
-    task: Task,
-    agent: Agent,
-    seeds: Sequence[int],
-    max_steps: int = 100,
-    chunk: int = 1,
-    observe: Callable[[Scene], Scene] | None = None,
-    progress: bool = True,
-    settings: Mapping[str, Any] | None = None,
-) -> list[Run]:
-    """:func:`run_episodes` in the task's simulator environment, made with ``settings``, which is closed again."""
-    env = gym.make(f"pwm/{task.name}Sim-v0", max_episode_steps=max_steps, **(settings or {}))
-    try:
-        return run_episodes(env, agent, seeds, max_steps, chunk, observe, progress)
-    finally:
-        env.close()
 
 
 def save_runs(runs: Sequence[Run], folder: Path) -> None:

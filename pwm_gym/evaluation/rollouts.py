@@ -14,7 +14,7 @@ from pwm_gym.data.episodes import KINDS, Episode
 from pwm_gym.data.partial import partial_clouds
 from pwm_gym.dynamics.model import WorldModel
 from pwm_gym.scene import PointState, RigidState, State, batch_state, stack
-from pwm_gym.scene.se3 import matrix_from_pose7, rotation_angle
+from pwm_gym.scene.se3 import inverse, matrix_from_pose7, rotation_angle
 
 if TYPE_CHECKING:
     from pwm_gym.perception import RenderedObserver
@@ -97,7 +97,7 @@ def predict(
     poses = states.poses()
     third = frames[:, OBSERVED - 1]
     if not torch.equal(begin.poses(), third):
-        poses = poses @ torch.linalg.inv(begin.poses()).unsqueeze(1) @ third.unsqueeze(1)
+        poses = poses @ inverse(begin.poses()).unsqueeze(1) @ third.unsqueeze(1)
     return Rollouts(dataset, episodes, poses, frames[:, 3:], joints[:, 3:], actions, states, lengths)
 
 

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 
 from pwm_gym.data import FitConfig, fit, load_split
@@ -22,7 +23,7 @@ from pwm_gym.data.partial import visible_split
 from pwm_gym.dynamics import WorldModel, load_checkpoint
 from pwm_gym.dynamics.training import TrainConfig
 from pwm_gym.errors import unknown_name
-from pwm_gym.evaluation.planning import planning_table, run_in_simulator
+from pwm_gym.evaluation.planning import planning_table, run_episodes
 from pwm_gym.evaluation.record import describe_commit
 from pwm_gym.evaluation.report import evaluate_rollouts
 from pwm_gym.evaluation.rollouts import observed_start, validation_metrics
@@ -292,8 +293,9 @@ def _run(piece: _Piece) -> None:
 
 def _planning(model: WorldModel, task: Task, episodes: int) -> dict[str, Any]:
     """Closed-loop planning of the test seeds in the simulator."""
-    agent = Agent(model, task.name)
-    return planning_table(run_in_simulator(task, agent, seed_range("plan_test", episodes), progress=False))
+    with gym.make(f"pwm/{task.name}Sim-v0") as env:
+        runs = run_episodes(env, Agent(model, task.name), seed_range("plan_test", episodes), progress=False)
+    return planning_table(runs)
 
 
 def _joined(row: Row, runs: list[dict[str, Any]], moved: str) -> dict[str, Any]:

@@ -99,6 +99,11 @@ class Layout:
         return tuple(e.name for e in self.entities)
 
     @property
+    def root(self) -> int:
+        """Position of the end effector's root link: of those that the robot drives, the one that slides on no other."""
+        return next(i for i, e in enumerate(self.entities) if e.effector and e.slider is None)
+
+    @property
     def points(self) -> int:
         """Number N of points of a scene."""
         return self.entities[-1].stop

@@ -78,6 +78,12 @@ def test_a_viewers_frame_is_rigid_but_for_its_unit_and_ignores_the_density():
     assert eye[2] < 0
 
 
+def test_an_object_that_no_view_shows_is_named():
+    needle = trimesh.creation.box((1.0, 1e-4, 1e-4))
+    with pytest.raises(PwmGymError, match="mesh 0 shows fewer than 32 points in 100 views"):
+        Views([needle], CLEAN).view(0, np.random.default_rng(0))
+
+
 def test_bad_input_is_named():
     with pytest.raises(PwmGymError, match="no meshes to view"):
         Views([])
