@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from pwm_gym.completion import CompletionRecipe, ObjectSet
+from pwm_gym.completion import CompletionTrainConfig, ObjectSet
 
 if TYPE_CHECKING:
     from pwm_gym.completion import CompletionNet, ViewConfig
@@ -47,7 +47,7 @@ class Complete:
     json: Path | None = None
     """Where to write the results of the evaluation."""
     objects: Annotated[ObjectSet, tyro.conf.arg(name="")] = field(default_factory=ObjectSet)
-    recipe: Annotated[CompletionRecipe, tyro.conf.arg(name="")] = field(default_factory=CompletionRecipe)
+    training: Annotated[CompletionTrainConfig, tyro.conf.arg(name="")] = field(default_factory=CompletionTrainConfig)
 
     def run(self) -> None:
         """Do what is asked for, one after the other."""
@@ -58,11 +58,11 @@ class Complete:
 
         if not (self.train or self.evaluate or self.mesh):
             raise PwmGymError("nothing to do; expected --train, --evaluate or --mesh FILE")
-        prepare_process(self.recipe.threads)
+        prepare_process(self.training.threads)
         checkpoint = self.checkpoint
         if self.train:
             validate = _Validation(replace(self.objects, shapes=_VALIDATION, meshes=None))
-            checkpoint = str(fit_completion(self.objects, self.size, self.recipe, self.out, validate))
+            checkpoint = str(fit_completion(self.objects, self.size, self.training, self.out, validate))
             if not leads():
                 return
             print(f"checkpoint: {checkpoint}")

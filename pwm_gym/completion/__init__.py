@@ -6,7 +6,7 @@ from pwm_gym.completion.fitting import ObjectSet, fit_completion, random_shapes
 from pwm_gym.completion.frame import LEAST, ViewerFrame
 from pwm_gym.completion.meshes import load_meshes, normalise
 from pwm_gym.completion.network import SIZES, CompletionConfig, CompletionNet, get_size
-from pwm_gym.completion.training import CompletionLoss, CompletionRecipe, chamfer_loss, train_completion
+from pwm_gym.completion.training import CompletionLoss, CompletionTrainConfig, chamfer_loss, train_completion
 from pwm_gym.completion.views import Batch, ObjectView, ViewConfig, Views
 
 __all__ = [
@@ -18,7 +18,7 @@ __all__ = [
     "CompletionConfig",
     "CompletionLoss",
     "CompletionNet",
-    "CompletionRecipe",
+    "CompletionTrainConfig",
     "HullCompleter",
     "LearnedCompleter",
     "ObjectSet",

@@ -15,7 +15,7 @@ from torch import nn
 from pwm_gym.completion.checkpoint import save_completion
 from pwm_gym.completion.meshes import load_meshes, normalise
 from pwm_gym.completion.network import CompletionNet, get_size
-from pwm_gym.completion.training import CompletionRecipe, train_completion
+from pwm_gym.completion.training import CompletionTrainConfig, train_completion
 from pwm_gym.completion.views import ViewConfig, Views
 from pwm_gym.errors import PwmGymError, unknown_name
 
@@ -79,7 +79,7 @@ def random_shapes(count: int, first: int = _SHAPE_SEEDS) -> list[trimesh.Trimesh
 def fit_completion(
     objects: ObjectSet,
     size: str,
-    recipe: CompletionRecipe,
+    training: CompletionTrainConfig,
     out: Path,
     validate: Callable[[Any], dict[str, float]],
     progress: bool = True,
@@ -89,13 +89,13 @@ def fit_completion(
     Args:
         objects: to train on.
         size: of the network, by name.
-        recipe: how.
+        training: how.
         out: folder of the run; a state found there is resumed.
         validate: metrics of a network.
         progress: whether to show a bar.
     """
     begun, views = time.perf_counter(), objects.views()
-    torch.manual_seed(recipe.seed)
+    torch.manual_seed(training.seed)
     net = CompletionNet(get_size(size))
     checkpoint = out / "checkpoint"
 
@@ -103,11 +103,11 @@ def fit_completion(
         facts = {
             "objects": {**asdict(objects), "meshes": None if objects.meshes is None else objects.meshes.name},
             "size": size,
-            "recipe": asdict(recipe),
+            "config": asdict(training),
             "minutes": (time.perf_counter() - begun) / 60,
         }
         assert isinstance(trained, CompletionNet)
         save_completion(checkpoint, trained, facts, dict(metrics))
 
-    train_completion(net, views, recipe, out, validate, save, progress)
+    train_completion(net, views, training, out, validate, save, progress)
     return checkpoint

@@ -16,63 +16,26 @@ from torch.nn import functional as F
 from pwm_gym.completion.neighbours import gather_points, nearest_points
 from pwm_gym.completion.network import CompletionNet
 from pwm_gym.completion.views import Batch, Views
-from pwm_gym.learning import run_training
+from pwm_gym.learning import LoopConfig, run_training
 
-__all__ = ["CompletionLoss", "CompletionRecipe", "chamfer_loss", "train_completion"]
+__all__ = ["CompletionLoss", "CompletionTrainConfig", "chamfer_loss", "train_completion"]
 
 
 @dataclass(frozen=True)
-class CompletionRecipe:
+class CompletionTrainConfig(LoopConfig):
     """How to train. The defaults train the compact network."""
 
     phases: tuple[tuple[int, int, int], ...] = ((1, 6000, 32), (3, 4000, 24))
     """(steps of the decoder, optimiser steps, batch size), one after the other: the first levels alone are trained in a
     fraction of the time."""
+    learning_rate: float = 2e-3
+    """The optimiser's, at its highest."""
+    validate_every: int = 1000
+    """Optimiser steps between validations; a checkpoint is saved then, too."""
     target: int = 1024
     """Points of each object's surface in the loss."""
     doubt_weight: float = 0.05
     """Weight of the loss of the expected error."""
-    optimizer: str = "muon"
-    """"muon" (on matrices of at least 32 x 32, AdamW on the rest) or "adamw"."""
-    learning_rate: float = 2e-3
-    """The optimiser's, at its highest."""
-    weight_decay: float = 0.01
-    """The optimiser's."""
-    schedule: str = "cosine"
-    """"cosine" (to 1 % over the whole run) or "step" (StepLR)."""
-    step_size: int = 30
-    """StepLR: epochs between drops."""
-    gamma: float = 0.1
-    """StepLR: factor of a drop."""
-    epoch_steps: int = 1000
-    """Optimiser steps that StepLR counts as one epoch."""
-    gradient_clip: float = 1.0
-    """Largest gradient norm."""
-    average: float = 0.998
-    """Decay of the weights' moving average, which is what is saved; 0 saves the last weights."""
-    seed: int = 0
-    """Initial weights and views."""
-    threads: int = 2
-    """PyTorch threads."""
-    validate_every: int = 1000
-    """Optimiser steps between validations; a checkpoint is saved then, too."""
-    save_every: int = 250
-    """Optimiser steps between saves of the state that a killed run resumes from."""
-    device: str = "cpu"
-    """PyTorch device."""
-
-    @property
-    def steps(self) -> int:
-        """Optimiser steps in all."""
-        return sum(steps for _, steps, _ in self.phases)
-
-    def phase(self, step: int) -> tuple[int, int]:
-        """(steps of the decoder, batch size) at ``step``."""
-        for levels, steps, batch in self.phases:
-            if step < steps:
-                return levels, batch
-            step -= steps
-        return self.phases[-1][0], self.phases[-1][2]
 
 
 class CompletionLoss(nn.Module):
@@ -108,7 +71,7 @@ def chamfer_loss(cloud: Tensor, target: Tensor) -> Tensor:
 def train_completion(
     net: CompletionNet,
     views: Views,
-    recipe: CompletionRecipe,
+    config: CompletionTrainConfig,
     folder: Path,
     validate: Callable[[Any], dict[str, float]],
     save: Callable[[nn.Module, dict[str, float]], None],
@@ -119,7 +82,7 @@ def train_completion(
     Args:
         net: it is changed in place.
         views: of the training objects.
-        recipe: how.
+        config: how.
         folder: TensorBoard curves and the training state; a state found there is resumed.
         validate: metrics of a network.
         save: writes a checkpoint of a network with its metrics.
@@ -127,10 +90,10 @@ def train_completion(
     """
 
     def draw(generator: torch.Generator, step: int, processes: int) -> Batch:
-        steps, size = recipe.phase(step)
+        steps, size = config.phase(step)
         rng = np.random.default_rng(int(torch.randint(2**62, (), generator=generator)))
-        batch = views.batch(rng, max(1, size // processes), net.config.points[0], recipe.target)
+        batch = views.batch(rng, max(1, size // processes), net.config.points[0], config.target)
         return replace(batch, steps=steps)
 
-    loss = CompletionLoss(net, recipe.doubt_weight)
-    return run_training(net, loss, draw, recipe, folder, validate, save, progress)
+    loss = CompletionLoss(net, config.doubt_weight)
+    return run_training(net, loss, draw, config, folder, validate, save, progress)

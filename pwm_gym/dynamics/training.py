@@ -13,14 +13,12 @@ from torch.nn import functional as F
 
 from pwm_gym.dynamics.model import WorldModel
 from pwm_gym.errors import unknown_name
-from pwm_gym.learning import run_training
+from pwm_gym.learning import LoopConfig, run_training
 from pwm_gym.scene import Layout, RigidState, State
 
 __all__ = ["Batch", "Batches", "TrainConfig", "rollout_loss", "train"]
 
-_OPTIMIZERS = ("muon", "adamw")
 _LOSSES = ("huber", "hybrid")
-_SCHEDULES = ("cosine", "step")
 _LEVER = 0.5  # metres: how far a joint moves the end effector, per radian
 
 
@@ -63,25 +61,11 @@ class Batches(Protocol):
 
 
 @dataclass(frozen=True)
-class TrainConfig:
+class TrainConfig(LoopConfig):
     """How to train. The defaults train the compact model; :meth:`paper` gives the paper's table."""
 
     phases: tuple[tuple[int, int, int], ...] = ((1, 6000, 256), (5, 1200, 256), (15, 450, 192))
     """(horizon H, optimiser steps, batch size), one after the other."""
-    optimizer: str = "muon"
-    """"muon" (on matrices of at least 32 x 32, AdamW on the rest) or "adamw"."""
-    learning_rate: float = 3e-3
-    """The optimiser's, at its highest."""
-    weight_decay: float = 0.01
-    """The optimiser's."""
-    schedule: str = "cosine"
-    """"cosine" (to 1 % over the whole run) or "step" (StepLR)."""
-    step_size: int = 30
-    """StepLR: epochs between drops."""
-    gamma: float = 0.1
-    """StepLR: factor of a drop."""
-    epoch_steps: int = 1000
-    """Optimiser steps that StepLR counts as one epoch."""
     loss: str = "huber"
     """"huber" on each point's motion, or "hybrid": Chamfer plus Hausdorff distance to what a camera sees, without
     correspondences (ParticleFormer's; their weights are not stated, and equal here)."""
@@ -97,27 +81,12 @@ class TrainConfig:
     """Weight of the points of entities that the robot does not drive."""
     loss_points: int = 32
     """Points of each entity in the loss (a model that moves points always uses all of its own)."""
-    gradient_clip: float = 1.0
-    """Largest gradient norm."""
-    average: float = 0.998
-    """Decay of the weights' moving average, which is what is saved; 0 saves the last weights."""
-    seed: int = 0
-    """Initial weights and batches."""
-    threads: int = 2
-    """PyTorch threads a process."""
-    validate_every: int = 2000
-    """Optimiser steps between validation rollouts; a checkpoint is saved then, too."""
-    save_every: int = 250
-    """Optimiser steps between saves of the state that a killed run resumes from."""
-    device: str = "cpu"
-    """PyTorch device."""
 
     def __post_init__(self) -> None:
         """Raise :class:`UnknownNameError` for an optimiser, a schedule or a loss that is none."""
-        for kind, known in (("optimizer", _OPTIMIZERS), ("schedule", _SCHEDULES), ("loss", _LOSSES)):
-            name = getattr(self, kind)
-            if name not in known:
-                raise unknown_name(kind, name, known)
+        super().__post_init__()
+        if self.loss not in _LOSSES:
+            raise unknown_name("loss", self.loss, _LOSSES)
 
     @classmethod
     def paper(cls, steps: int = 100_000, batch: int = 32) -> TrainConfig:
@@ -134,19 +103,6 @@ class TrainConfig:
             loss_points=10**9,
             average=0.0,
         )
-
-    @property
-    def steps(self) -> int:
-        """Optimiser steps in all."""
-        return sum(steps for _, steps, _ in self.phases)
-
-    def phase(self, step: int) -> tuple[int, int]:
-        """(horizon, batch size) at ``step``."""
-        for horizon, steps, batch in self.phases:
-            if step < steps:
-                return horizon, batch
-            step -= steps
-        return self.phases[-1][0], self.phases[-1][2]
 
 
 class _RolloutLoss(nn.Module):

@@ -212,7 +212,7 @@ class _Piece:
                 row.model,
                 sorted(row.settings.items()),
                 row.view,
-                row.training,
+                row.training.describe(),
                 row.episodes,
                 row.kinds,
                 row.plan,

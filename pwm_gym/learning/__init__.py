@@ -1,12 +1,12 @@
 """What every training shares: the loop, the optimisers and the files of weights. Knows nothing of what is trained."""
 
-from pwm_gym.learning.loop import Recipe, has_state, leads, run_training
+from pwm_gym.learning.loop import LoopConfig, has_state, leads, run_training
 from pwm_gym.learning.optimizers import Optimizer, build_optimizer
 from pwm_gym.learning.weights import load_weights, read_description, save_weights
 
 __all__ = [
+    "LoopConfig",
     "Optimizer",
-    "Recipe",
     "build_optimizer",
     "has_state",
     "leads",

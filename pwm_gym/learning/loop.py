@@ -8,18 +8,19 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import torch
 import torch.distributed as dist
 from torch import nn
 from tqdm import tqdm
 
-from pwm_gym.errors import CheckpointError
+from pwm_gym.errors import CheckpointError, unknown_name
 from pwm_gym.learning.optimizers import build_optimizer
 
-__all__ = ["Draw", "Recipe", "has_state", "leads", "run_training"]
+__all__ = ["Draw", "LoopConfig", "has_state", "leads", "run_training"]
 
 _STATE = "training-state.pt"
 
@@ -27,75 +28,78 @@ Draw = Callable[[torch.Generator, int, int], Any]
 """(generator, step, processes) -> this process's batch, which has ``to(device)``."""
 
 
-class Recipe(Protocol):
-    """How to train: the settings that the loop reads."""
+_OPTIMIZERS = ("muon", "adamw")
+_SCHEDULES = ("cosine", "step")
+
+
+@dataclass(frozen=True)
+class LoopConfig:
+    """What every training is told; each kind of training adds its own.
+
+    Raises:
+        UnknownNameError: an optimiser or a schedule that is none.
+    """
+
+    phases: tuple[tuple[int, int, int], ...] = ((1, 1000, 32),)
+    """(extent, optimiser steps, batch size), one after the other; each kind of training says what the extent is."""
+    optimizer: str = "muon"
+    """"muon" (on matrices of at least 32 x 32, AdamW on the rest) or "adamw"."""
+    learning_rate: float = 3e-3
+    """The optimiser's, at its highest."""
+    weight_decay: float = 0.01
+    """The optimiser's."""
+    schedule: str = "cosine"
+    """"cosine" (to 1 % over the whole run) or "step" (StepLR)."""
+    step_size: int = 30
+    """StepLR: epochs between drops."""
+    gamma: float = 0.1
+    """StepLR: factor of a drop."""
+    epoch_steps: int = 1000
+    """Optimiser steps that StepLR counts as one epoch."""
+    gradient_clip: float = 1.0
+    """Largest gradient norm."""
+    average: float = 0.998
+    """Decay of the weights' moving average, which is what is saved; 0 saves the last weights."""
+    seed: int = 0
+    """Initial weights and batches."""
+    threads: int = 2
+    """PyTorch threads a process."""
+    validate_every: int = 2000
+    """Optimiser steps between validations; a checkpoint is saved then, too."""
+    save_every: int = 250
+    """Optimiser steps between saves of the state that a killed run resumes from."""
+    device: str = "cpu"
+    """PyTorch device."""
+
+    def __post_init__(self) -> None:
+        """Check the names."""
+        for kind, known in (("optimizer", _OPTIMIZERS), ("schedule", _SCHEDULES)):
+            if getattr(self, kind) not in known:
+                raise unknown_name(kind, getattr(self, kind), known)
 
     @property
     def steps(self) -> int:
         """Optimiser steps in all."""
+        return sum(steps for _, steps, _ in self.phases)
 
-    @property
-    def optimizer(self) -> str:
-        """ "muon" or "adamw"."""
+    def phase(self, step: int) -> tuple[int, int]:
+        """(extent, batch size) at ``step``."""
+        for extent, steps, batch in self.phases:
+            if step < steps:
+                return extent, batch
+            step -= steps
+        return self.phases[-1][0], self.phases[-1][2]
 
-    @property
-    def learning_rate(self) -> float:
-        """The optimiser's, at its highest."""
-
-    @property
-    def weight_decay(self) -> float:
-        """The optimiser's."""
-
-    @property
-    def schedule(self) -> str:
-        """ "cosine" (to 1 % over the whole run) or "step" (StepLR)."""
-
-    @property
-    def step_size(self) -> int:
-        """StepLR: epochs between drops."""
-
-    @property
-    def gamma(self) -> float:
-        """StepLR: factor of a drop."""
-
-    @property
-    def epoch_steps(self) -> int:
-        """Optimiser steps that StepLR counts as one epoch."""
-
-    @property
-    def gradient_clip(self) -> float:
-        """Largest gradient norm."""
-
-    @property
-    def average(self) -> float:
-        """Decay of the weights' moving average, which is what is saved; 0 saves the last weights."""
-
-    @property
-    def seed(self) -> int:
-        """Initial weights and batches."""
-
-    @property
-    def threads(self) -> int:
-        """PyTorch threads a process."""
-
-    @property
-    def validate_every(self) -> int:
-        """Optimiser steps between validations."""
-
-    @property
-    def save_every(self) -> int:
-        """Optimiser steps between saves of the state that a killed run resumes from."""
-
-    @property
-    def device(self) -> str:
-        """PyTorch device."""
+    def describe(self) -> str:
+        """All settings, in an order that does not depend on the code's."""
+        return ", ".join(f"{name}={value!r}" for name, value in sorted(asdict(self).items()))
 
 
 def run_training(
     model: nn.Module,
     loss: nn.Module,
     draw: Draw,
-    recipe: Recipe,
+    config: LoopConfig,
     folder: Path,
     validate: Callable[[Any], dict[str, float]],
     save: Callable[[nn.Module, dict[str, float]], None],
@@ -107,25 +111,25 @@ def run_training(
         model: it is changed in place and holds the averaged weights at the end.
         loss: batch -> scalar; the model is a part of it.
         draw: this process's batch of a step.
-        recipe: settings.
+        config: settings.
         folder: TensorBoard curves and the training state; a state found there is resumed.
         validate: metrics of a model.
         save: writes a checkpoint of a model with its metrics.
         progress: whether to show a bar.
     """
-    torch.set_num_threads(recipe.threads)
-    run = _Run(model.to(recipe.device), loss, recipe, folder)
+    torch.set_num_threads(config.threads)
+    run = _Run(model.to(config.device), loss, config, folder)
     metrics: dict[str, float] = {}
-    with tqdm(total=recipe.steps, initial=run.step, disable=not (progress and run.leads), desc="train") as bar:
-        while run.step < recipe.steps:
+    with tqdm(total=config.steps, initial=run.step, disable=not (progress and run.leads), desc="train") as bar:
+        while run.step < config.steps:
             value = run.update(draw)
             bar.update()
             if run.step % 50 == 0:
                 run.log({"train/loss": value})
                 bar.set_postfix(loss=f"{value:.4f}", **{k: f"{v:.4f}" for k, v in metrics.items()})
-            if run.step % recipe.validate_every == 0 or run.step == recipe.steps:
+            if run.step % config.validate_every == 0 or run.step == config.steps:
                 metrics = run.checkpoint(validate, save)
-            elif run.step % recipe.save_every == 0:
+            elif run.step % config.save_every == 0:
                 run.save_state()
     run.finish()
     return metrics
@@ -144,7 +148,7 @@ def has_state(folder: Path) -> bool:
 class _Run:
     """One training run: optimiser, averaged weights, step count, and their state on disk."""
 
-    def __init__(self, model: nn.Module, loss: nn.Module, config: Recipe, folder: Path) -> None:
+    def __init__(self, model: nn.Module, loss: nn.Module, config: LoopConfig, folder: Path) -> None:
         self.config, self.folder, self.model, self.step = config, folder, model, 0
         self.rank, self.world = int(os.environ.get("RANK", 0)), int(os.environ.get("WORLD_SIZE", 1))
         self.leads = leads()
@@ -169,8 +173,8 @@ class _Run:
             state = torch.load(path, map_location=self.config.device, weights_only=True)
         except Exception as error:
             raise CheckpointError(f"{path} is truncated or foreign ({error}); delete it to start anew") from error
-        if state["config"] != repr(self.config):
-            raise CheckpointError(f"{path} was written with {state['config']}; expected {self.config!r}")
+        if state["config"] != self.config.describe():
+            raise CheckpointError(f"{path} was written with {state['config']}; expected {self.config.describe()}")
         self.model.load_state_dict(state["model"])
         self.optimizer.load_state_dict(state["optimizer"])
         self.average, self.step = state["average"], state["step"]
@@ -241,7 +245,7 @@ class _Run:
         if not self.leads:
             return
         state = {
-            "config": repr(self.config),
+            "config": self.config.describe(),
             "model": self.model.state_dict(),
             "optimizer": self.optimizer.state_dict(),
             "average": self.average,

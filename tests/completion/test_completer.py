@@ -8,7 +8,7 @@ from pwm_gym.completion import (
     Completer,
     CompletionConfig,
     CompletionNet,
-    CompletionRecipe,
+    CompletionTrainConfig,
     HullCompleter,
     LearnedCompleter,
     ViewConfig,
@@ -22,7 +22,7 @@ from pwm_gym.errors import CheckpointError, PwmGymError, UnknownNameError
 from pwm_gym.evaluation.completion import evaluate_completion, score_completion
 
 SMALL = CompletionConfig((64, 32, 16, 8), (8, 8, 16, 16), 4, 32, 1, 2, 32, 2, 32, 16, (2, 2), 16, 4)
-RECIPE = CompletionRecipe(
+TRAINING = CompletionTrainConfig(
     phases=((1, 60, 8), (2, 20, 8)),
     target=128,
     threads=1,
@@ -39,7 +39,7 @@ def network():
     return CompletionNet(SMALL)
 
 
-def train(folder, recipe=RECIPE, stop=None, net=None):
+def train(folder, training=TRAINING, stop=None, net=None):
     net, saved = net or network(), []
 
     def save(model, metrics):
@@ -49,7 +49,7 @@ def train(folder, recipe=RECIPE, stop=None, net=None):
             raise KeyboardInterrupt
 
     views = Views(BALL, ViewConfig())
-    train_completion(net, views, recipe, folder, lambda model: {"value": 1.0}, save, progress=False)
+    train_completion(net, views, training, folder, lambda model: {"value": 1.0}, save, progress=False)
     return net
 
 
