@@ -7,14 +7,14 @@ from typing import Any
 import numpy as np
 import torch
 
-from pwm_gym.completion import build_completer
 from pwm_gym.costs import cost_info, get_grasp
-from pwm_gym.data.partial import CAMERA, CAMERA_SCALE, PartialView
+from pwm_gym.data.partial import PartialView
 from pwm_gym.envs.sight import Sensing
-from pwm_gym.perception import IdSegmenter, RenderedObserver, SceneObserver
 from pwm_gym.scene import Layout, Scene, batch_state
 from pwm_gym.sim import Simulator
 from pwm_gym.tasks import Task
+from pwm_gym.tasks.cameras import CAMERA
+from pwm_gym.tasks.observing import build_observer
 
 __all__ = ["CompletedSight", "PartialSight"]
 
@@ -54,11 +54,8 @@ class CompletedSight:
 
     def __init__(self, task: Task, layout: Layout, simulator: Simulator, clouds: np.ndarray, sensing: Sensing) -> None:
         self.info: dict[str, Any] = {}
-        self._task = task
-        completer = build_completer(sensing.completer)
-        observer = SceneObserver(task.name, layout, task.robot(), IdSegmenter(layout), completer, clouds=clouds)
-        camera = sensing.camera or CAMERA.resize(CAMERA_SCALE)
-        self._look = RenderedObserver(observer, simulator.meshes(), camera, sensing.sensor)
+        self._task, meshes = task, simulator.meshes()
+        self._look = build_observer(task, layout, meshes, clouds, sensing.completer, sensing.camera, sensing.sensor)
         self._last: Scene | None = None
 
     def reset(self, seed: int) -> None:

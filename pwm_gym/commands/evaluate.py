@@ -174,18 +174,20 @@ def _print_planning(table: dict[str, Any]) -> None:
 def _completed_starts(task: Task, dataset: Dataset, completer: str, sensor: str) -> dict[str, RigidState]:
     """What perception makes of the episodes' first views, from each of three places."""
     from pwm_gym.completion import build_completer
-    from pwm_gym.data.partial import CAMERA_SCALE, VIEWPOINTS
     from pwm_gym.evaluation.rollouts import completed_start
-    from pwm_gym.perception import IdSegmenter, RenderedObserver, SceneObserver
+    from pwm_gym.tasks.cameras import CAMERA_SCALE, VIEWPOINTS
+    from pwm_gym.tasks.observing import build_observer
 
-    simulator, layout = task.simulator(), dataset.layout
+    simulator = task.simulator()
     meshes = simulator.meshes()
     simulator.close()
-    observer = SceneObserver(
-        task.name, layout, task.robot(), IdSegmenter(layout), build_completer(completer), clouds=dataset.clouds
-    )
-    looks = {n: RenderedObserver(observer, meshes, c.resize(CAMERA_SCALE), sensor) for n, c in VIEWPOINTS.items()}
-    return {name: completed_start(dataset, look) for name, look in looks.items()}
+    made = build_completer(completer)
+    starts = {}
+    for name, camera in VIEWPOINTS.items():
+        view = camera.resize(CAMERA_SCALE)
+        look = build_observer(task, dataset.layout, meshes, dataset.clouds, made, view, sensor)
+        starts[name] = completed_start(dataset, look)
+    return starts
 
 
 def _floors(task: Task, dataset: Dataset) -> dict[str, Any]:

@@ -11,6 +11,7 @@ import torch
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
+from pwm_gym.completion.draws import log_uniform
 from pwm_gym.completion.frame import LEAST, ViewerFrame
 from pwm_gym.errors import PwmGymError
 from pwm_gym.scene import Layout, spread
@@ -143,9 +144,9 @@ class Views:
 
     def _attempt(self, caster: RayCaster, rng: np.random.Generator) -> ObjectView:
         c = self.config
-        size = _log_uniform(rng, c.sizes)
+        size = log_uniform(rng, *c.sizes)
         distance = max(rng.uniform(*c.distances) / size, 1.5)  # in units of the size
-        across = np.clip(_log_uniform(rng, c.focal) / distance, *c.pixels)
+        across = np.clip(log_uniform(rng, *c.focal) / distance, *c.pixels)
         camera = _camera(across * distance, distance)
         pose = np.eye(4)
         pose[:3, :3] = Rotation.random(rng=rng).as_matrix()
@@ -199,7 +200,3 @@ def _camera(focal: float, distance: float) -> DepthCamera:
     middle = half - 0.5
     intrinsics = np.array([[focal, 0.0, middle], [0.0, focal, middle], [0.0, 0.0, 1.0]])
     return DepthCamera(intrinsics, np.eye(4), 2 * half, 2 * half)
-
-
-def _log_uniform(rng: np.random.Generator, limits: tuple[float, float]) -> float:
-    return float(np.exp(rng.uniform(*np.log(limits))))

@@ -20,15 +20,13 @@ from pwm_gym.scene import Layout, Scene, batch_state
 from pwm_gym.scene.se3 import matrix_from_pose7, transform
 from pwm_gym.sensing import DepthCamera, RayCaster
 from pwm_gym.tasks import Task
+from pwm_gym.tasks.cameras import CAMERA
 
 if TYPE_CHECKING:
     import trimesh
 
 __all__ = [
-    "CAMERA",
-    "CAMERA_SCALE",
     "PARTIAL_POINTS",
-    "VIEWPOINTS",
     "PartialView",
     "PartialWindows",
     "choose_visible",
@@ -36,19 +34,6 @@ __all__ = [
     "visibility",
     "visible_split",
 ]
-
-CAMERA = DepthCamera.looking((1.15, -0.55, 0.65), (0.6, 0.0, 0.15), fov=50.0)
-"""In front of a table-top robot, to its right, looking down at its work area."""
-
-VIEWPOINTS = {
-    "right": CAMERA,
-    "left": DepthCamera.looking((1.15, 0.55, 0.65), (0.6, 0.0, 0.15), fov=50.0),
-    "front": DepthCamera.looking((1.3, 0.0, 0.75), (0.6, 0.0, 0.15), fov=50.0),
-}
-""":data:`CAMERA` and two others, to see what the viewpoint changes."""
-
-CAMERA_SCALE = 2
-"""Pixels of completion's camera for each of :data:`CAMERA`'s: objects of a few centimetres need a dozen across."""
 
 PARTIAL_POINTS = 64
 """Points of each entity in a partial cloud."""
@@ -105,7 +90,7 @@ def choose_visible(seen: Tensor, count: int, generator: torch.Generator) -> Tens
 
 
 def visible_split(folder: Path, split: str, task: Task, dataset: Dataset | None = None) -> np.ndarray:
-    """Points (F, N) of a data set's split that :data:`CAMERA` sees; worked out once, and kept beside the data set.
+    """Points (F, N) of a data set's split that the default camera sees; worked out once, and kept beside the data set.
 
     Args:
         folder: of the data set.

@@ -16,6 +16,7 @@ import numpy as np
 from scipy.spatial import ConvexHull, cKDTree
 
 from pwm_gym.errors import PwmGymError, look_up
+from pwm_gym.sensing.camera import check_pose
 
 __all__ = ["Registration", "Tracker", "TrackingConfig", "register"]
 
@@ -97,7 +98,7 @@ class Tracker:
         """Follow an entity from ``pose`` (4, 4) on; a known one gets a new ``cloud`` (n, 3) and is at rest."""
         points = _checked_points(f"the cloud of {name!r}", cloud)
         surface = _Surface.of(points)
-        start = _checked_pose(f"the pose of {name!r}", pose)
+        start = check_pose(f"the pose of {name!r}", pose)
         self._clouds[name], self._surfaces[name], self._history[name] = points, surface, np.repeat(start[None], 3, 0)
 
     @property
@@ -152,7 +153,7 @@ class Tracker:
         """Where entities are if they rest, or move as their carriers do."""
         guesses = self.poses
         for name, carrier in carried_by.items():
-            step = _checked_pose(f"the motion of {carrier!r}", look_up("motion", carrier, motion))
+            step = check_pose(f"the motion of {carrier!r}", look_up("motion", carrier, motion))
             guesses[name] = step @ look_up("entity", name, guesses)
         return guesses
 
@@ -202,7 +203,7 @@ def register(
         PwmGymError: an array of a wrong shape, with too few points or not finite.
     """
     surface = _Surface.of(_checked_points("the canonical cloud", canonical))
-    points, start = _checked_points("the view", partial), _checked_pose("the guess", guess)
+    points, start = _checked_points("the view", partial), check_pose("the guess", guess)
     return _fit(surface, surface.seen_from(start, eye), points, start, config or TrackingConfig())
 
 
@@ -321,15 +322,4 @@ def _checked_points(name: str, points: np.ndarray) -> np.ndarray:
         raise PwmGymError(f"{name} has shape {array.shape}; expected ({_FEWEST} or more, 3)")
     if not np.isfinite(array).all():
         raise PwmGymError(f"{name} holds {int((~np.isfinite(array)).sum())} values that are not finite")
-    return array
-
-
-def _checked_pose(name: str, pose: np.ndarray) -> np.ndarray:
-    array = np.asarray(pose, np.float64)
-    if array.shape != (4, 4):
-        raise PwmGymError(f"{name} has shape {array.shape}; expected (4, 4)")
-    rotation = array[:3, :3]
-    gap = np.abs(rotation @ rotation.T - np.eye(3)).max()
-    if not (np.isfinite(array).all() and gap < 1e-3 and np.linalg.det(rotation) > 0):
-        raise PwmGymError(f"{name} is not rigid: its rotation is off by {gap:.3g}")
     return array

@@ -8,7 +8,7 @@ import numpy as np
 
 from pwm_gym.errors import PwmGymError
 
-__all__ = ["DepthCamera"]
+__all__ = ["DepthCamera", "check_pose"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,17 +30,12 @@ class DepthCamera:
 
     def __post_init__(self) -> None:
         """Check what cannot be seen from the pictures."""
-        intrinsics, pose = np.asarray(self.intrinsics, np.float64), np.asarray(self.pose, np.float64)
+        intrinsics = np.asarray(self.intrinsics, np.float64)
         if intrinsics.shape != (3, 3):
             raise PwmGymError(f"intrinsics have shape {intrinsics.shape}; expected (3, 3)")
         if not (np.isfinite(intrinsics).all() and intrinsics[0, 0] > 0 and intrinsics[1, 1] > 0):
             raise PwmGymError(f"focal lengths are {intrinsics[0, 0]} and {intrinsics[1, 1]}; expected positive pixels")
-        if pose.shape != (4, 4):
-            raise PwmGymError(f"the camera's pose has shape {pose.shape}; expected (4, 4)")
-        rotation = pose[:3, :3]
-        gap = np.abs(rotation @ rotation.T - np.eye(3)).max()
-        if not (np.isfinite(pose).all() and gap < 1e-3 and np.linalg.det(rotation) > 0):
-            raise PwmGymError(f"the camera's pose is not rigid: its rotation is off by {gap:.3g}")
+        pose = check_pose("the camera's pose", self.pose)
         if min(self.width, self.height) < 1:
             raise PwmGymError(f"an image of {self.width} x {self.height} pixels; expected at least 1 x 1")
         object.__setattr__(self, "intrinsics", intrinsics)
@@ -107,3 +102,19 @@ class DepthCamera:
         image = local @ self.intrinsics.T
         scale = np.where(np.abs(depth) > 1e-12, depth, 1e-12)
         return np.concatenate([image[..., :2] / scale[..., None], depth[..., None]], -1)
+
+
+def check_pose(name: str, pose: np.ndarray) -> np.ndarray:
+    """A rigid pose (4, 4) as float64; errors call it ``name``.
+
+    Raises:
+        PwmGymError: another shape, or no rotation.
+    """
+    array = np.asarray(pose, np.float64)
+    if array.shape != (4, 4):
+        raise PwmGymError(f"{name} has shape {array.shape}; expected (4, 4)")
+    rotation = array[:3, :3]
+    gap = np.abs(rotation @ rotation.T - np.eye(3)).max()
+    if not (np.isfinite(array).all() and gap < 1e-3 and np.linalg.det(rotation) > 0):
+        raise PwmGymError(f"{name} is not rigid: its rotation is off by {gap:.3g}")
+    return array

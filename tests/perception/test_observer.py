@@ -5,7 +5,6 @@ import pytest
 import torch
 
 from pwm_gym.completion import Completion, HullCompleter
-from pwm_gym.data.partial import CAMERA
 from pwm_gym.errors import SceneError
 from pwm_gym.perception import Frame, IdSegmenter, MaskSegmenter, SceneObserver
 from pwm_gym.perception.observer import _upright_frame
@@ -13,6 +12,7 @@ from pwm_gym.scene import Layout, batch_state, sample_clouds
 from pwm_gym.scene.se3 import matrix_from_pose7
 from pwm_gym.sensing import RayCaster
 from pwm_gym.tasks import get_task
+from pwm_gym.tasks.cameras import CAMERA
 
 TASK = get_task("PickCube")
 VIEW = CAMERA.resize(2)

@@ -5,16 +5,14 @@ from __future__ import annotations
 import numpy as np
 from manifold3d import Manifold
 
+from pwm_gym.completion.draws import chance, log_uniform, turn_angles
 from pwm_gym.completion.shapes.primitives import (
     bend,
-    chance,
-    log_uniform,
     rod,
     shear_taper,
     superquadric,
     top,
     tube,
-    turn_angles,
     union,
     warp,
 )

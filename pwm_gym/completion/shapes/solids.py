@@ -7,12 +7,11 @@ from collections.abc import Callable
 import numpy as np
 from manifold3d import Manifold
 
+from pwm_gym.completion.draws import chance, log_uniform, turn_angles
 from pwm_gym.completion.shapes.primitives import (
     capsule,
-    chance,
     cylinder,
     level_set,
-    log_uniform,
     prism,
     regular,
     rod,
@@ -21,7 +20,6 @@ from pwm_gym.completion.shapes.primitives import (
     soften,
     superquadric,
     tube,
-    turn_angles,
     twist,
     union,
 )

@@ -5,12 +5,11 @@ from __future__ import annotations
 import numpy as np
 from manifold3d import Manifold
 
+from pwm_gym.completion.draws import chance, log_uniform
 from pwm_gym.completion.shapes.primitives import (
     bend,
     capsule,
-    chance,
     cylinder,
-    log_uniform,
     prism,
     regular,
     rod,

@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 from manifold3d import Manifold
 
+from pwm_gym.completion.draws import chance, log_uniform
 from pwm_gym.completion.shapes.primitives import (
     bend,
-    chance,
     cylinder,
-    log_uniform,
     prism,
     regular,
     revolve,
