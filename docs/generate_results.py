@@ -219,14 +219,14 @@ def _table(name: str) -> str:
         cells = [row["row"]]
         cells += [_spread(splits[s]["chamfer_l1"], 4) if s in splits else "-" for s in ("all", "expert", "randomised")]
         cells += [_spread(splits["all"]["reward_correlation"], 3), row["paper, other data"] or "-"]
-        cells += [f"{row['episodes']:,}", f"{row['minutes']:.0f}"]
+        cells += [f"{row['episodes']:,}", f"{row['cpu_minutes']:.0f}"]
         cells += [f"{row['sample_steps']:,}", f"{row['parameters'] / 1e6:.2f} M"]
         if planned:
             runs = row["planning"]
             cells.append(f"{runs[0]['successes']} / {runs[0]['episodes']}" if runs else "-")
         rows.append(cells)
     head = ["", "Chamfer L1, all (m)", "expert", "randomised", "reward correlation", "paper, other data"]
-    head += ["episodes", "minutes", "sample-steps", "parameters", *(["planned"] if planned else [])]
+    head += ["episodes", "CPU-minutes", "sample-steps", "parameters", *(["planned"] if planned else [])]
     commits = sorted({commit for row in result["rows"] for commit in row["commits"]})  # of its pieces
     source = _source(name, {**result, "commit": ", ".join(commits)})
     return f"## {result['caption']}\n\n{source}\n{_grid(head, rows)}"

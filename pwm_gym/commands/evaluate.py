@@ -151,7 +151,7 @@ class Evaluate:
             correlation = _spread(row["splits"]["all"]["reward_correlation"], 3)
             print(f"  {row['row']:36s} CD L1: {', '.join(cells)}; corr {correlation}")
             print(
-                f"  {'':36s} {row['minutes']:.0f} min, {row['sample_steps']:,} sample-steps, "
+                f"  {'':36s} {row['cpu_minutes']:.0f} CPU-minutes, {row['sample_steps']:,} sample-steps, "
                 f"{row['seeds']} seeds; paper, other data: {row['paper, other data'] or '-'}"
             )
         if self.json is not None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -18,6 +17,7 @@ from pwm_gym.completion.network import CompletionNet, get_size
 from pwm_gym.completion.training import CompletionTrainConfig, train_completion
 from pwm_gym.completion.views import ViewConfig, Views
 from pwm_gym.errors import PwmGymError, unknown_name
+from pwm_gym.learning import Clock
 
 if TYPE_CHECKING:
     import trimesh
@@ -94,7 +94,7 @@ def fit_completion(
         validate: metrics of a network.
         progress: whether to show a bar.
     """
-    begun, views = time.perf_counter(), objects.views()
+    clock, views = Clock(), objects.views()
     torch.manual_seed(training.seed)
     net = CompletionNet(get_size(size))
     checkpoint = out / "checkpoint"
@@ -104,10 +104,10 @@ def fit_completion(
             "objects": {**asdict(objects), "meshes": None if objects.meshes is None else objects.meshes.name},
             "size": size,
             "config": asdict(training),
-            "minutes": (time.perf_counter() - begun) / 60,
+            **clock.spent(),
         }
         assert isinstance(trained, CompletionNet)
         save_completion(checkpoint, trained, facts, dict(metrics))
 
-    train_completion(net, views, training, out, validate, save, progress)
+    train_completion(net, views, training, out, validate, save, progress, clock)
     return checkpoint

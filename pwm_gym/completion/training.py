@@ -16,7 +16,7 @@ from torch.nn import functional as F
 from pwm_gym.completion.neighbours import gather_points, nearest_points
 from pwm_gym.completion.network import CompletionNet
 from pwm_gym.completion.views import Batch, Views
-from pwm_gym.learning import LoopConfig, run_training
+from pwm_gym.learning import Clock, LoopConfig, run_training
 
 __all__ = ["CompletionLoss", "CompletionTrainConfig", "chamfer_loss", "train_completion"]
 
@@ -76,6 +76,7 @@ def train_completion(
     validate: Callable[[Any], dict[str, float]],
     save: Callable[[nn.Module, dict[str, float]], None],
     progress: bool = True,
+    clock: Clock | None = None,
 ) -> dict[str, float]:
     """Train ``net`` on random views and return the last validation's metrics.
 
@@ -87,6 +88,7 @@ def train_completion(
         validate: metrics of a network.
         save: writes a checkpoint of a network with its metrics.
         progress: whether to show a bar.
+        clock: counts what all sessions of the training took.
     """
 
     def draw(generator: torch.Generator, step: int, processes: int) -> Batch:
@@ -96,4 +98,4 @@ def train_completion(
         return replace(batch, steps=steps)
 
     loss = CompletionLoss(net, config.doubt_weight)
-    return run_training(net, loss, draw, config, folder, validate, save, progress)
+    return run_training(net, loss, draw, config, folder, validate, save, progress, clock)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -22,7 +21,7 @@ from pwm_gym.dynamics.model import WorldModel
 from pwm_gym.dynamics.registry import build_model
 from pwm_gym.dynamics.training import TrainConfig, train
 from pwm_gym.errors import DatasetError, unknown_name
-from pwm_gym.learning import has_state, leads
+from pwm_gym.learning import Clock, has_state, leads
 from pwm_gym.tasks import Task, get_task
 
 __all__ = ["BANK", "FitConfig", "fit", "fit_baseline", "fit_error", "scene_bank"]
@@ -92,7 +91,7 @@ def fit(config: FitConfig, training: TrainConfig, validate: Validate, progress: 
         folder = config.data[0]
         windows = PartialWindows(dataset, visible_split(folder, "train", task, dataset), boost=config.boost)
         held_out_seen = visible_split(folder, "validation", task, held_out)
-    begun, cpu = time.perf_counter(), time.process_time()
+    clock = Clock()
     torch.set_num_threads(training.threads)  # before the fits: sums depend on it, and a resumed run must find the same
     torch.manual_seed(training.seed)
     model = build_model(config.model, task.layout, task.action_size, task.control, config.settings)
@@ -107,14 +106,13 @@ def fit(config: FitConfig, training: TrainConfig, validate: Validate, progress: 
     bank = scene_bank(task, dataset)
 
     def save(trained: nn.Module, metrics: dict[str, float]) -> None:
-        description["minutes"] = (time.perf_counter() - begun) / 60
-        description["cpu_minutes_a_process"] = (time.process_time() - cpu) / 60
+        description.update(clock.spent())
         save_checkpoint(checkpoint, trained, config.model, bank, description, {"validation": metrics})
 
     def measure(trained: Any) -> dict[str, float]:
         return validate(trained, held_out, held_out_seen)
 
-    metrics = train(model, Reframed(windows), training, config.out, measure, save, progress)
+    metrics = train(model, Reframed(windows), training, config.out, measure, save, progress, clock)
     if leads() and getattr(model, "error", None) is not None:
         fit_error(model, dataset, config.error_steps)
         save(model, metrics or measure(model))  # a resumed run may have had nothing left to train

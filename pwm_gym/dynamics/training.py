@@ -13,7 +13,7 @@ from torch.nn import functional as F
 
 from pwm_gym.dynamics.model import WorldModel
 from pwm_gym.errors import unknown_name
-from pwm_gym.learning import LoopConfig, run_training
+from pwm_gym.learning import Clock, LoopConfig, run_training
 from pwm_gym.scene import Layout, RigidState, State
 
 __all__ = ["Batch", "Batches", "TrainConfig", "rollout_loss", "train"]
@@ -179,6 +179,7 @@ def train(
     validate: Callable[[Any], dict[str, float]],
     save: Callable[[nn.Module, dict[str, float]], None],
     progress: bool = True,
+    clock: Clock | None = None,
 ) -> dict[str, float]:
     """Train ``model`` and return the last validation's metrics (empty in all processes but the first).
 
@@ -190,10 +191,11 @@ def train(
         validate: metrics of a model, by rollouts of validation episodes.
         save: writes a checkpoint of a model with its metrics.
         progress: whether to show a bar.
+        clock: counts what all sessions of the training took.
     """
 
     def draw(generator: torch.Generator, step: int, processes: int) -> Batch:
         horizon, size = config.phase(step)
         return batches.sample(generator, max(1, size // processes), horizon)
 
-    return run_training(model, _RolloutLoss(model, config), draw, config, folder, validate, save, progress)
+    return run_training(model, _RolloutLoss(model, config), draw, config, folder, validate, save, progress, clock)

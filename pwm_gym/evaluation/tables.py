@@ -1,7 +1,8 @@
 """The paper's tables for one task: what to train for each row, in resumable pieces, and the table of the results.
 
-Every row of a table has the same training budget in sample-steps (windows times predicted steps), stated with its
-minutes. Each piece (a row and a seed) keeps its result in a file, so that a killed run goes on where it was.
+Every row of a table has the same training budget in sample-steps (windows times predicted steps), stated with the
+CPU-minutes that it took. Each piece (a row and a seed) keeps its result in a file, so that a killed run goes on where
+it was.
 """
 
 from __future__ import annotations
@@ -9,7 +10,6 @@ from __future__ import annotations
 import hashlib
 import json
 import multiprocessing as mp
-import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -269,10 +269,8 @@ def _run(piece: _Piece) -> None:
     """Train and evaluate one piece."""
     prepare_process(threads=1)
     row, task = piece.row, get_task(piece.task)
-    begun = time.perf_counter()
     checkpoint = load_checkpoint(_fit(piece), piece.task)
-    minutes = (time.perf_counter() - begun) / 60
-    model = checkpoint.model
+    model, training = checkpoint.model, checkpoint.description["training"]
     test = load_split(piece.data, "test", piece.task)
     start = None
     if row.view == "partial":
@@ -281,9 +279,9 @@ def _run(piece: _Piece) -> None:
     result = {
         "commit": piece.commit,
         "seed": piece.seed,
-        "minutes": minutes,
+        "cpu_minutes": training["cpu_minutes_a_process"],
         "sample_steps": sum(h * steps * batch for h, steps, batch in row.training.phases),
-        "episodes": sum(checkpoint.description["training"]["data"]["episodes"].values()),
+        "episodes": sum(training["data"]["episodes"].values()),
         "parameters": sum(p.numel() for p in model.parameters()),  # type: ignore[attr-defined]
         "splits": table,
         "planning": _planning(model, task, row.plan) if row.plan else None,
@@ -315,7 +313,7 @@ def _joined(row: Row, runs: list[dict[str, Any]], moved: str) -> dict[str, Any]:
         "paper, other data": row.paper,
         "commits": sorted({str(r["commit"]) for r in runs}),
         "seeds": len(runs),
-        "minutes": float(np.mean([r["minutes"] for r in runs])),
+        "cpu_minutes": float(np.mean([r["cpu_minutes"] for r in runs])),
         "sample_steps": runs[0]["sample_steps"],
         "episodes": runs[0]["episodes"],
         "parameters": runs[0]["parameters"],

@@ -1,10 +1,12 @@
 """What every training shares: the loop, the optimisers and the files of weights. Knows nothing of what is trained."""
 
+from pwm_gym.learning.clock import Clock
 from pwm_gym.learning.loop import LoopConfig, has_state, leads, run_training
 from pwm_gym.learning.optimizers import Optimizer, build_optimizer
 from pwm_gym.learning.weights import load_weights, read_description, save_weights
 
 __all__ = [
+    "Clock",
     "LoopConfig",
     "Optimizer",
     "build_optimizer",

@@ -18,11 +18,13 @@ from torch import nn
 from tqdm import tqdm
 
 from pwm_gym.errors import CheckpointError, unknown_name
+from pwm_gym.learning.clock import Clock
 from pwm_gym.learning.optimizers import build_optimizer
 
 __all__ = ["Draw", "LoopConfig", "has_state", "leads", "run_training"]
 
 _STATE = "training-state.pt"
+_KEYS = {"config", "model", "optimizer", "average", "step", "spent"}  # of the state
 
 Draw = Callable[[torch.Generator, int, int], Any]
 """(generator, step, processes) -> this process's batch, which has ``to(device)``."""
@@ -104,6 +106,7 @@ def run_training(
     validate: Callable[[Any], dict[str, float]],
     save: Callable[[nn.Module, dict[str, float]], None],
     progress: bool = True,
+    clock: Clock | None = None,
 ) -> dict[str, float]:
     """Train ``model`` and return the last validation's metrics (empty in all processes but the first).
 
@@ -116,9 +119,10 @@ def run_training(
         validate: metrics of a model.
         save: writes a checkpoint of a model with its metrics.
         progress: whether to show a bar.
+        clock: counts what all sessions of the training took.
     """
     torch.set_num_threads(config.threads)
-    run = _Run(model.to(config.device), loss, config, folder)
+    run = _Run(model.to(config.device), loss, config, folder, clock or Clock())
     metrics: dict[str, float] = {}
     with tqdm(total=config.steps, initial=run.step, disable=not (progress and run.leads), desc="train") as bar:
         while run.step < config.steps:
@@ -148,8 +152,8 @@ def has_state(folder: Path) -> bool:
 class _Run:
     """One training run: optimiser, averaged weights, step count, and their state on disk."""
 
-    def __init__(self, model: nn.Module, loss: nn.Module, config: LoopConfig, folder: Path) -> None:
-        self.config, self.folder, self.model, self.step = config, folder, model, 0
+    def __init__(self, model: nn.Module, loss: nn.Module, config: LoopConfig, folder: Path, clock: Clock) -> None:
+        self.config, self.folder, self.model, self.clock, self.step = config, folder, model, clock, 0
         self.rank, self.world = int(os.environ.get("RANK", 0)), int(os.environ.get("WORLD_SIZE", 1))
         self.leads = leads()
         if self.world > 1 and not dist.is_initialized():
@@ -173,11 +177,14 @@ class _Run:
             state = torch.load(path, map_location=self.config.device, weights_only=True)
         except Exception as error:
             raise CheckpointError(f"{path} is truncated or foreign ({error}); delete it to start anew") from error
+        if not isinstance(state, dict) or state.keys() != _KEYS:
+            raise CheckpointError(f"{path} is foreign or of another version of pwm_gym; delete it to start anew")
         if state["config"] != self.config.describe():
             raise CheckpointError(f"{path} was written with {state['config']}; expected {self.config.describe()}")
         self.model.load_state_dict(state["model"])
         self.optimizer.load_state_dict(state["optimizer"])
         self.average, self.step = state["average"], state["step"]
+        self.clock.resume(state["spent"])
 
     def update(self, draw: Draw) -> float:
         """One optimiser step; returns its loss."""
@@ -250,6 +257,7 @@ class _Run:
             "optimizer": self.optimizer.state_dict(),
             "average": self.average,
             "step": self.step,
+            "spent": self.clock.spent(),
         }
         temporary = self.folder / f".{_STATE}"
         torch.save(state, temporary)

@@ -179,6 +179,17 @@ def test_another_configuration_is_refused(windows, tmp_path):
         run(compact(windows), windows, replace(QUICK, learning_rate=0.1), tmp_path)
 
 
+def test_a_state_of_another_version_is_named(windows, tmp_path):
+    run(compact(windows), windows, replace(QUICK, phases=((1, 1, 4),)), tmp_path)
+    path = tmp_path / "training-state.pt"
+    state = torch.load(path, weights_only=True)
+    assert 0.0 < state["spent"]["cpu_minutes_a_process"] < 10.0
+    del state["spent"]
+    torch.save(state, path)
+    with pytest.raises(CheckpointError, match=r"training-state\.pt is foreign or of another version"):
+        run(compact(windows), windows, replace(QUICK, phases=((1, 1, 4),)), tmp_path)
+
+
 @pytest.mark.parametrize("kept", [0.0, 0.5, 0.99])
 def test_a_truncated_state_is_named(windows, tmp_path, kept):
     run(compact(windows), windows, replace(QUICK, phases=((1, 1, 4),)), tmp_path)
