@@ -54,6 +54,7 @@ def page() -> str:
         _calibration(),
         _planning("planning_default", "Planning with the default model"),
         _planning("table_planning"),
+        _planning("table_planners"),
         *_tables(),
         _speed(),
         _LIMITS,
@@ -177,13 +178,14 @@ def _planning(name: str, title: str = "") -> str:
         return ""
     rows = []
     for row in result["rows"]:
-        label = f"{row['row']}{', partial clouds' if row['partial'] else ''}, {row['samples']} samples"
+        rounds = f" x {row['iterations']}" if row["iterations"] > 1 else ""
+        label = f"{row['row']}{', partial clouds' if row['partial'] else ''}, {row['samples']}{rounds} samples"
         rows += [[label, mode, *_success(outcome)] for mode, outcome in row["modes"].items()]
     commits = sorted({str(mode["commit"]) for row in result["rows"] for mode in row["modes"].values()})
     source = _source(name, {**result, "commit": ", ".join(commits)})
     about = _paragraph(
-        f"MPPI with horizon {result['horizon']}, executed in the simulator. In closed loop the planner looks at every",
-        "step, in open loop at the first scene alone.",
+        f"Planned with horizon {result['rows'][0]['horizon']}, executed in the simulator. In closed loop the planner",
+        "looks at every step, in open loop at the first scene alone.",
     )
     table = _grid(["model", *_HEAD], rows)
     return f"## {title or result['caption']}\n\n{source}\n{about}\n{table}{_failures(result['rows'])}"
@@ -206,7 +208,7 @@ def _failures(rows: list[dict[str, Any]]) -> str:
 
 def _tables() -> list[str]:
     names = (path.stem for path in sorted(RESULTS.glob("table_*.json")))
-    return [_table(name) for name in names if name != "table_planning"]
+    return [_table(name) for name in names if not name.startswith("table_plann")]
 
 
 def _table(name: str) -> str:

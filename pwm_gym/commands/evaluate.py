@@ -44,11 +44,11 @@ class Evaluate:
     pictures: Path | None = None
     """Folder for pictures (PNG): expected against real errors, and the errors of the long rollouts over time."""
     table: str | None = None
-    """rollout, baselines, register, horizon, data, head, arm, budget or planning."""
+    """rollout, baselines, register, horizon, data, head, arm, budget, planning or planners."""
     full: bool = False
-    """Table of planning: whether the fast models plan 100 episodes instead of 20."""
+    """Tables of planning: whether the fast models plan 100 episodes instead of 20."""
     members: tuple[str, ...] = ()
-    """Table of planning: only these of its models, by name; none given takes all."""
+    """Tables of planning: only these of its rows, by name; none given takes all."""
     out: Path = Path("runs/tables")
     """Folder of a table's trainings and results."""
     workers: int = 1
@@ -133,13 +133,17 @@ class Evaluate:
             picture.save(self.pictures / "calibration.png")
 
     def _table(self, name: str) -> None:
-        from pwm_gym.evaluation import run_planning_table, run_table, write_results
-        from pwm_gym.evaluation.members import get_members
+        from pwm_gym.errors import unknown_name
+        from pwm_gym.evaluation import TABLES, run_planning_table, run_table, write_results
+        from pwm_gym.evaluation.members import PLANNING_TABLES
         from pwm_gym.process import prepare_process
 
-        if name == "planning":
+        if name not in (*TABLES, *PLANNING_TABLES):
+            raise unknown_name("table", name, (*TABLES, *PLANNING_TABLES))
+        if name in PLANNING_TABLES:
             prepare_process(self.threads)
-            planning = run_planning_table(self.data, self.out, self.task, self.full, get_members(self.members))
+            chosen = PLANNING_TABLES[name]
+            planning = run_planning_table(chosen, self.data, self.out, self.task, self.full, self.members)
             _print_planning(planning)
             if self.json is not None:
                 write_results(self.json, {"table": name, **planning})

@@ -1,4 +1,4 @@
-"""Planning success of every model, from one look an episode to a look at every step (paper, section 4.2)."""
+"""Planning success of models and planners, from one look an episode to a look at every step (paper, section 4.2)."""
 
 from __future__ import annotations
 
@@ -20,24 +20,25 @@ from pwm_gym.evaluation.planning import planning_table, run_episodes, save_runs
 from pwm_gym.evaluation.record import describe_commit
 from pwm_gym.evaluation.tables import row_folder, trained
 from pwm_gym.files import write_atomically
-from pwm_gym.planning import Agent, MPPIConfig
+from pwm_gym.planning import Agent, SamplingConfig, get_planner_config
 from pwm_gym.scene import Scene
 from pwm_gym.seeds import seed_range
 from pwm_gym.sim.model import SimulatorModel
 from pwm_gym.tasks import Task, get_task
 
-__all__ = ["CHUNKS", "MEMBERS", "Member", "get_members", "run_planning_table"]
+__all__ = ["CHUNKS", "PLANNING_TABLES", "Member", "PlanningTable", "run_planning_table"]
 
 CHUNKS = {"closed loop": 1, "chunks of 20": 20, "chunks of 50": 50, "open loop": 0}
 """Name -> actions between two looks; 0 looks once."""
 
 _EPISODES, _SLOW_EPISODES, _FULL_EPISODES = 20, 5, 100
+_SLOW_SAMPLES = 32
 _MAX_STEPS = 100
 
 
 @dataclass(frozen=True)
 class Member:
-    """A model that plans."""
+    """A model that is planned in, and the planner."""
 
     name: str
     kind: str
@@ -48,9 +49,35 @@ class Member:
     """Whether it plans fewer episodes with fewer samples."""
     partial: bool = False
     """Whether it sees what one camera sees."""
+    planner: str = "mppi"
+    """Registered planner."""
+
+    @property
+    def config(self) -> SamplingConfig:
+        """Settings of its planner."""
+        config = get_planner_config(self.planner)
+        return config.resize(_SLOW_SAMPLES) if self.slow else config
 
 
-MEMBERS = (
+@dataclass(frozen=True)
+class PlanningTable:
+    """Members with one caption, each in all modes."""
+
+    caption: str
+    members: tuple[Member, ...]
+    modes: tuple[str, ...] = tuple(CHUNKS)
+
+    def choose(self, names: Sequence[str] = ()) -> tuple[Member, ...]:
+        """The members called ``names``, or all.
+
+        Raises:
+            UnknownNameError: listing the known ones.
+        """
+        known = {member.name: member for member in self.members}
+        return tuple(look_up("member of the table", name, known) for name in names) if names else self.members
+
+
+_MODELS = (
     Member("compact (default)", "checkpoint", "default"),
     Member("3DPWM, paper-small", "row", "3DPWM, paper-small", slow=True),
     Member("ParticleFormer+", "row", "ParticleFormer+", slow=True, partial=True),
@@ -58,56 +85,61 @@ MEMBERS = (
     Member("linear response, no learning", "baseline", "linear"),
     Member("the simulator itself", "simulator", "", slow=True),
 )
-"""The table's rows."""
+_PLANNERS = {"MPPI": "mppi", "CEM": "cem", "iCEM": "icem", "gradient": "gradient"}
 
-_SLOW = MPPIConfig().resize(32)
-
-
-def get_members(names: Sequence[str] = ()) -> tuple[Member, ...]:
-    """The members called ``names``, or all.
-
-    Raises:
-        UnknownNameError: listing the known ones.
-    """
-    known = {member.name: member for member in MEMBERS}
-    return tuple(look_up("model of the planning table", name, known) for name in names) if names else MEMBERS
+PLANNING_TABLES: dict[str, PlanningTable] = {
+    "planning": PlanningTable("Planning success in the simulator (paper, section 4.2)", _MODELS),
+    "planners": PlanningTable(
+        "Planners, all in the default model",
+        tuple(Member(name, "checkpoint", "default", planner=planner) for name, planner in _PLANNERS.items()),
+        modes=("closed loop", "open loop"),
+    ),
+}
+"""Name -> table."""
 
 
 def run_planning_table(
-    data: Path, out: Path, task: str = "PickCube", full: bool = False, members: tuple[Member, ...] = MEMBERS
+    table: PlanningTable,
+    data: Path,
+    out: Path,
+    task: str = "PickCube",
+    full: bool = False,
+    members: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Plan with every member in every mode; what is there already is kept.
 
     Args:
+        table: what to plan with.
         data: a data set, for the baseline's fit and for members that are not trained yet.
         out: folder of the pieces, as of :func:`pwm_gym.evaluation.run_table`.
         task: registered task.
         full: whether the fast members plan 100 episodes instead of 20.
-        members: rows.
+        members: names of rows; none given takes all.
+
+    Raises:
+        UnknownNameError: the table has no such member.
     """
     rows, commit = [], describe_commit()  # of the code that is loaded, which may change on disk meanwhile
-    for member in members:
+    for member in table.choose(members):
         model: WorldModel | None = None
         modes = {}
-        for mode, chunk in CHUNKS.items():
+        for mode in table.modes:
+            chunk = CHUNKS[mode]
             episodes = _SLOW_EPISODES if member.slow else _FULL_EPISODES if full else _EPISODES
-            config = _SLOW if member.slow else MPPIConfig()
-            path = _path(out, task, member, data, chunk, episodes, config)
+            path = _path(out, task, member, data, chunk, episodes)
             if not path.exists():
                 model = model or _model(member, data, out, get_task(task))
-                result = _plan(model, member, get_task(task), config, chunk, episodes, path.with_suffix(""))
-                facts = {"commit": commit, "threads": torch.get_num_threads(), **result}
-                write_atomically(path, json.dumps(facts, default=float).encode())
+                result = _plan(model, member, get_task(task), chunk, episodes, path.with_suffix(""))
+                result = {"commit": commit, "threads": torch.get_num_threads(), **result}
+                write_atomically(path, json.dumps(result, default=float).encode())
             modes[mode] = json.loads(path.read_text())
-        rows.append({"row": member.name, "partial": member.partial, "samples": config.samples, "modes": modes})
-    return {
-        "caption": "Planning success in the simulator (paper, section 4.2)",
-        "horizon": config.horizon,
-        "rows": rows,
-    }
+        config = member.config
+        facts = {"planner": member.planner, "samples": config.samples, "iterations": config.iterations}
+        rows.append({"row": member.name, "partial": member.partial, **facts, "horizon": config.horizon, "modes": modes})
+    return {"caption": table.caption, "rows": rows}
 
 
-def _path(out: Path, task: str, member: Member, data: Path, chunk: int, episodes: int, config: MPPIConfig) -> Path:
+def _path(out: Path, task: str, member: Member, data: Path, chunk: int, episodes: int) -> Path:
     """File of one member's result in one mode, named after all that decides it."""
     source = str(data)
     if member.kind == "checkpoint":
@@ -115,7 +147,7 @@ def _path(out: Path, task: str, member: Member, data: Path, chunk: int, episodes
         source = hashlib.sha256(weights.read_bytes()).hexdigest()
     if member.kind == "row":
         source = row_folder("rollout", member.source, data, out, task).name
-    recipe = repr((task, member, source, chunk, episodes, config, _MAX_STEPS))
+    recipe = repr((task, member, source, chunk, episodes, member.config, _MAX_STEPS))
     return out / f"planning-{hashlib.sha256(recipe.encode()).hexdigest()[:12]}.json"
 
 
@@ -133,16 +165,14 @@ def _model(member: Member, data: Path, out: Path, task: Task) -> WorldModel:
     return fit_baseline(member.source, task, load_split(data, "train", task.name))
 
 
-def _plan(
-    model: WorldModel, member: Member, task: Task, config: MPPIConfig, chunk: int, episodes: int, folder: Path
-) -> dict[str, Any]:
+def _plan(model: WorldModel, member: Member, task: Task, chunk: int, episodes: int, folder: Path) -> dict[str, Any]:
     """Test seeds of planning in the simulator; failed runs are saved in ``folder``."""
     observe: Callable[[Scene], Scene] | None = None
     if member.partial:
         simulator = task.simulator()
         observe = PartialView(simulator.meshes(), task.layout)
         simulator.close()
-    agent, seeds = Agent(model, task.name, config), seed_range("plan_test", episodes)
+    agent, seeds = Agent(model, task.name, member.config), seed_range("plan_test", episodes)
     with gym.make(f"pwm/{task.name}Sim-v0", max_episode_steps=_MAX_STEPS) as env:
         runs = run_episodes(env, agent, seeds, _MAX_STEPS, chunk, observe)
     save_runs([run for run in runs if not run.success], folder)

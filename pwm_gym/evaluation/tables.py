@@ -22,7 +22,7 @@ from pwm_gym.data import FitConfig, fit, load_split
 from pwm_gym.data.partial import visible_split
 from pwm_gym.dynamics import WorldModel, load_checkpoint
 from pwm_gym.dynamics.training import TrainConfig
-from pwm_gym.errors import unknown_name
+from pwm_gym.errors import look_up
 from pwm_gym.evaluation.planning import planning_table, run_episodes
 from pwm_gym.evaluation.record import describe_commit
 from pwm_gym.evaluation.report import evaluate_rollouts
@@ -169,9 +169,7 @@ def run_table(name: str, data: Path, out: Path, task: str = "PickCube", workers:
     Raises:
         UnknownNameError: no table has this name.
     """
-    if name not in TABLES:
-        raise unknown_name("table", name, (*TABLES, "planning"))
-    table = TABLES[name]
+    table = look_up("table", name, TABLES)
     commit = describe_commit()  # of the code that is loaded, which may change on disk meanwhile
     pieces = [_Piece(row, seed, data, out, task, commit) for row in table.rows for seed in row.seeds]
     missing = [p for p in pieces if not p.result.exists()]

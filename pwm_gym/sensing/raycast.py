@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -103,6 +104,14 @@ def _hierarchy(mesh: trimesh.Trimesh) -> Any:
     from embreex import rtcore_scene
     from embreex.mesh_construction import TriangleMesh
 
-    scene = rtcore_scene.EmbreeScene()
+    scene = rtcore_scene.EmbreeScene(_device())
     TriangleMesh(scene, np.ascontiguousarray(mesh.triangles, np.float32))
     return scene
+
+
+@cache
+def _device() -> Any:
+    """The one device of this process: with one for each hierarchy, Embree crashes at a thousand of them."""
+    from embreex import rtcore
+
+    return rtcore.EmbreeDevice()

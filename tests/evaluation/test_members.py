@@ -10,57 +10,72 @@ from pwm_gym.dynamics import rollout
 from pwm_gym.errors import UnknownNameError
 from pwm_gym.evaluation import TABLES
 from pwm_gym.evaluation import members as table
-from pwm_gym.evaluation.members import Member, run_planning_table
-from pwm_gym.planning import MPPIConfig, Run
+from pwm_gym.evaluation.members import PLANNING_TABLES, Member, PlanningTable, run_planning_table
+from pwm_gym.planning import CEMConfig, MPPIConfig, Run
 from pwm_gym.scene import batch_state
 from pwm_gym.sim.model import SimulatorModel
 from pwm_gym.tasks import get_task
 
 TASK = get_task("PickCube")
 BASELINE = Member("linear", "baseline", "linear", slow=True, partial=True)
+TABLE = PlanningTable("one baseline", (BASELINE,), modes=("closed loop", "open loop"))
 
 
 @pytest.fixture
 def quick(monkeypatch):
-    """Two modes, one episode of two steps, few samples."""
-    monkeypatch.setattr(table, "CHUNKS", {"closed loop": 1, "open loop": 0})
+    """One episode of two steps, few samples."""
     monkeypatch.setattr(table, "_SLOW_EPISODES", 1)
     monkeypatch.setattr(table, "_MAX_STEPS", 2)
-    monkeypatch.setattr(table, "_SLOW", MPPIConfig(samples=4, elites=2, horizon=2))
+    monkeypatch.setattr(table, "get_planner_config", lambda name: MPPIConfig(samples=8, elites=4, horizon=2))
+    monkeypatch.setattr(table, "_SLOW_SAMPLES", 4)
 
 
 def test_a_table_tells_every_mode_and_keeps_what_is_there(quick, data_folder, tmp_path, monkeypatch):
-    first = run_planning_table(data_folder, tmp_path, members=(BASELINE,))
+    first = run_planning_table(TABLE, data_folder, tmp_path)
     (row,) = first["rows"]
-    assert row["row"] == "linear" and row["partial"] and set(row["modes"]) == {"closed loop", "open loop"}
+    assert (
+        row["row"] == "linear"
+        and row["partial"]
+        and row["samples"] == 4
+        and set(row["modes"]) == {"closed loop", "open loop"}
+    )
     assert all(mode["episodes"] == 1 and mode["runs"][0]["steps"] == 2 for mode in row["modes"].values())
     failed = [Run.load(p) for p in tmp_path.rglob("seed-*.npz")]
     assert sorted(run.chunk for run in failed) == [0, 1]
     monkeypatch.setattr(table, "_model", None)  # nothing is to be run
-    assert run_planning_table(data_folder, tmp_path, members=(BASELINE,)) == first
+    assert run_planning_table(TABLE, data_folder, tmp_path) == first
     json.dumps(first)
 
 
 def test_other_settings_are_another_piece(quick, data_folder, tmp_path, monkeypatch):
-    run_planning_table(data_folder, tmp_path, members=(BASELINE,))
+    run_planning_table(TABLE, data_folder, tmp_path)
     monkeypatch.setattr(table, "_MAX_STEPS", 1)
-    (row,) = run_planning_table(data_folder, tmp_path, members=(BASELINE,))["rows"]
+    (row,) = run_planning_table(TABLE, data_folder, tmp_path)["rows"]
     assert row["modes"]["open loop"]["runs"][0]["steps"] == 1
 
 
 def test_members_are_chosen_by_name():
-    assert table.get_members() == table.MEMBERS
-    assert [m.name for m in table.get_members(["Partial 3DPWM"])] == ["Partial 3DPWM"]
-    with pytest.raises(UnknownNameError, match=r"unknown model of the planning table 'Partial'; known: .*3DPWM"):
-        table.get_members(["Partial"])
+    planning = PLANNING_TABLES["planning"]
+    assert planning.choose() == planning.members
+    assert [m.name for m in planning.choose(["Partial 3DPWM"])] == ["Partial 3DPWM"]
+    with pytest.raises(UnknownNameError, match=r"unknown member of the table 'Partial'; known: .*3DPWM"):
+        planning.choose(["Partial"])
+
+
+def test_planners_are_compared_in_one_model():
+    members = PLANNING_TABLES["planners"].members
+    assert {(m.kind, m.source, m.slow) for m in members} == {("checkpoint", "default", False)}
+    assert [type(m.config) for m in members[:2]] == [MPPIConfig, CEMConfig]
+    assert replace(members[0], slow=True).config.samples < members[0].config.samples
 
 
 def test_a_piece_is_named_after_all_that_decides_it(tmp_path, monkeypatch):
     def name(member, data="a"):
-        return table._path(tmp_path, "PickCube", member, tmp_path / data, 1, 5, MPPIConfig()).name
+        return table._path(tmp_path, "PickCube", member, tmp_path / data, 1, 5).name
 
     row, shipped = Member("x", "row", "3DPWM, paper-small"), Member("x", "checkpoint", "default")
     before = name(row)
+    assert name(shipped) != name(replace(shipped, planner="cem"))
     assert name(BASELINE) != name(BASELINE, "b") and name(shipped) == name(shipped, "b")
     rows = [replace(r, episodes=7) for r in TABLES["rollout"].rows]
     monkeypatch.setitem(TABLES, "rollout", replace(TABLES["rollout"], rows=tuple(rows)))

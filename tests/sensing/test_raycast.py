@@ -1,11 +1,15 @@
+import timeit
+
 import numpy as np
 import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
 from pwm_gym.errors import PwmGymError, SceneError
-from pwm_gym.scene import Layout
+from pwm_gym.scene import Layout, batch_state
 from pwm_gym.sensing import DepthCamera, RayCaster
+from pwm_gym.tasks import get_task
+from pwm_gym.tasks.cameras import CAMERA as CAMERA_OF_TABLES
 
 LAYOUT = Layout.build([("ball", 200), ("box", 200)])
 CAMERA = DepthCamera.looking((1.0, -0.2, 0.8), (0.0, 0.0, 0.1), fov=40.0, width=96, height=64)
@@ -93,3 +97,26 @@ def test_bad_cameras_and_scenes_are_named(meshes):
         CAMERA.back_project(np.ones((3, 3)))
     with pytest.raises(SceneError, match="no mesh for box"):
         RayCaster({"ball": meshes["ball"]}, LAYOUT)
+
+
+def test_thousands_of_casters_live_in_one_process():
+    """Each shows its own object: one Embree device serves them all."""
+    layout = Layout.build([("box", 8)])
+    casters = [RayCaster({"box": trimesh.creation.box([0.1 + 1e-4 * k] * 3)}, layout, table=False) for k in range(2500)]
+    looking = DepthCamera.looking((1.0, 0.0, 0.0), (0.0, 0.0, 0.0), fov=2.0, width=3, height=3)
+    for k in (0, 1300, 2499):
+        depth = casters[k].view(looking, np.eye(4)[None]).depth
+        assert depth[1, 1] == pytest.approx(1.0 - 0.5 * (0.1 + 1e-4 * k), abs=1e-5)
+
+
+def test_a_view_of_robot_and_object_is_made_in_time(sim):
+    """128 x 128 rays at a whole scene, in at most 50 ms."""
+    sim.reset(seed=300_000)
+    simulator = sim.unwrapped.simulator
+    caster = RayCaster(simulator.meshes(), get_task("PickCube").layout)
+    assert (CAMERA_OF_TABLES.width, CAMERA_OF_TABLES.height) == (128, 128)
+    poses = batch_state([sim.unwrapped.scene()]).poses()[0].numpy()
+    view = caster.view(CAMERA_OF_TABLES, poses)
+    assert {-1, 0, 3} <= set(np.unique(view.segmentation).tolist())
+    seconds = min(timeit.repeat(lambda: caster.view(CAMERA_OF_TABLES, poses), number=1, repeat=10))
+    assert seconds < 0.05
