@@ -16,6 +16,8 @@ import torch
 
 __all__ = ["describe_commit", "describe_machine", "write_results"]
 
+_CODE = (":(top)pwm_gym", ":(top)envs", ":(top)wrappers")  # what decides a result; another result's file does not
+
 
 def describe_machine() -> dict[str, Any]:
     """Processor, cores, threads, GPU and versions."""
@@ -40,12 +42,13 @@ def _processor() -> str:
 
 
 def describe_commit() -> str | None:
-    """Commit of the source tree that this module lies in, with "+" where it has changes."""
+    """Commit of the source tree that this module lies in, with "+" where its packages have changes."""
     folder = Path(__file__).parent
     try:
         run = ["git", "-C", str(folder)]
         head = subprocess.run([*run, "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=True)
-        changes = subprocess.run([*run, "status", "--porcelain", "-uno"], capture_output=True, text=True, check=True)
+        status = [*run, "status", "--porcelain", "-uno", "--", *_CODE]
+        changes = subprocess.run(status, capture_output=True, text=True, check=True)
     except (OSError, subprocess.CalledProcessError):
         return None
     return head.stdout.strip() + ("+" if changes.stdout.strip() else "")
