@@ -55,6 +55,7 @@ def page() -> str:
         _planning("planning_default", "Planning with the default model"),
         _planning("table_planning"),
         _planning("table_planners"),
+        _planning("table_completed"),
         *_tables(),
         _speed(),
         _LIMITS,
@@ -207,13 +208,11 @@ def _failures(rows: list[dict[str, Any]]) -> str:
 
 
 def _tables() -> list[str]:
-    names = (path.stem for path in sorted(RESULTS.glob("table_*.json")))
-    return [_table(name) for name in names if not name.startswith("table_plann")]
+    results = {path.stem: _read(path.stem) for path in sorted(RESULTS.glob("table_*.json"))}
+    return [_table(name, result) for name, result in results.items() if result and "splits" in result["rows"][0]]
 
 
-def _table(name: str) -> str:
-    result = _read(name)
-    assert result is not None
+def _table(name: str, result: dict[str, Any]) -> str:
     planned = any(row.get("planning") for row in result["rows"])
     rows = []
     for row in result["rows"]:

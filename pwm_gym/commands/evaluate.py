@@ -44,7 +44,7 @@ class Evaluate:
     pictures: Path | None = None
     """Folder for pictures (PNG): expected against real errors, and the errors of the long rollouts over time."""
     table: str | None = None
-    """rollout, baselines, register, horizon, data, head, arm, budget, planning or planners."""
+    """rollout, baselines, register, horizon, data, head, arm, budget, planning, planners or completed."""
     full: bool = False
     """Tables of planning: whether the fast models plan 100 episodes instead of 20."""
     members: tuple[str, ...] = ()

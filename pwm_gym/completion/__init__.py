@@ -1,6 +1,6 @@
 """Completion of partial clouds: the network, its training, and the shapes it learns from, random or read from files."""
 
-from pwm_gym.completion.checkpoint import load_completion, save_completion
+from pwm_gym.completion.checkpoint import SHIPPED, load_completion, save_completion
 from pwm_gym.completion.completer import Completer, Completion, HullCompleter, LearnedCompleter, build_completer
 from pwm_gym.completion.fitting import ObjectSet, fit_completion, random_shapes
 from pwm_gym.completion.frame import LEAST, ViewerFrame
@@ -11,6 +11,7 @@ from pwm_gym.completion.views import Batch, ObjectView, ViewConfig, Views
 
 __all__ = [
     "LEAST",
+    "SHIPPED",
     "SIZES",
     "Batch",
     "Completer",

@@ -12,9 +12,11 @@ from typing import Any
 import gymnasium as gym
 import torch
 
+from pwm_gym.completion import SHIPPED
 from pwm_gym.data import fit_baseline, load_split
 from pwm_gym.data.partial import PartialView
 from pwm_gym.dynamics import WorldModel, load_checkpoint, resolve
+from pwm_gym.envs import Sensing
 from pwm_gym.errors import look_up
 from pwm_gym.evaluation.planning import planning_table, run_episodes, save_runs
 from pwm_gym.evaluation.record import describe_commit
@@ -51,6 +53,10 @@ class Member:
     """Whether it sees what one camera sees."""
     planner: str = "mppi"
     """Registered planner."""
+    observation: str = "complete"
+    """What the environment shows: "complete" clouds, or ones "completed" from a camera's depth."""
+    sensor: str = "ideal"
+    """Sensor model of that camera."""
 
     @property
     def config(self) -> SamplingConfig:
@@ -93,6 +99,15 @@ PLANNING_TABLES: dict[str, PlanningTable] = {
         "Planners, all in the default model",
         tuple(Member(name, "checkpoint", "default", planner=planner) for name, planner in _PLANNERS.items()),
         modes=("closed loop", "open loop"),
+    ),
+    "completed": PlanningTable(
+        "Planning from what a camera sees, in the default model",
+        (
+            Member("complete clouds", "checkpoint", "default"),
+            Member("completed from ideal depth", "checkpoint", "default", observation="completed"),
+            Member("completed from a D455's depth", "checkpoint", "default", observation="completed", sensor="d455"),
+        ),
+        modes=("closed loop", "chunks of 20"),
     ),
 }
 """Name -> table."""
@@ -143,12 +158,17 @@ def _path(out: Path, task: str, member: Member, data: Path, chunk: int, episodes
     """File of one member's result in one mode, named after all that decides it."""
     source = str(data)
     if member.kind == "checkpoint":
-        weights = resolve(member.source, task) / "model.safetensors"
-        source = hashlib.sha256(weights.read_bytes()).hexdigest()
+        source = _digest(resolve(member.source, task))
+    if member.observation == "completed":
+        source += _digest(SHIPPED)
     if member.kind == "row":
         source = row_folder("rollout", member.source, data, out, task).name
     recipe = repr((task, member, source, chunk, episodes, member.config, _MAX_STEPS))
     return out / f"planning-{hashlib.sha256(recipe.encode()).hexdigest()[:12]}.json"
+
+
+def _digest(checkpoint: Path) -> str:
+    return hashlib.sha256((checkpoint / "model.safetensors").read_bytes()).hexdigest()
 
 
 def _model(member: Member, data: Path, out: Path, task: Task) -> WorldModel:
@@ -173,7 +193,8 @@ def _plan(model: WorldModel, member: Member, task: Task, chunk: int, episodes: i
         observe = PartialView(simulator.meshes(), task.layout)
         simulator.close()
     agent, seeds = Agent(model, task.name, member.config), seed_range("plan_test", episodes)
-    with gym.make(f"pwm/{task.name}Sim-v0", max_episode_steps=_MAX_STEPS) as env:
+    shown: dict[str, Any] = {"observation": member.observation, "sensing": Sensing(sensor=member.sensor)}
+    with gym.make(f"pwm/{task.name}Sim-v0", max_episode_steps=_MAX_STEPS, **shown) as env:
         runs = run_episodes(env, agent, seeds, _MAX_STEPS, chunk, observe)
     save_runs([run for run in runs if not run.success], folder)
     return planning_table(runs)

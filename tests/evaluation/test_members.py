@@ -1,12 +1,14 @@
 import json
 from dataclasses import replace
 
+import gymnasium
 import numpy as np
 import pytest
 import torch
 
 from pwm_gym.data.partial import PARTIAL_POINTS, PartialView
 from pwm_gym.dynamics import rollout
+from pwm_gym.envs import Sensing
 from pwm_gym.errors import UnknownNameError
 from pwm_gym.evaluation import TABLES
 from pwm_gym.evaluation import members as table
@@ -67,6 +69,24 @@ def test_planners_are_compared_in_one_model():
     assert {(m.kind, m.source, m.slow) for m in members} == {("checkpoint", "default", False)}
     assert [type(m.config) for m in members[:2]] == [MPPIConfig, CEMConfig]
     assert replace(members[0], slow=True).config.samples < members[0].config.samples
+
+
+def test_what_the_environment_shows_is_what_is_planned_from(data_folder, tmp_path, quick, monkeypatch):
+    seen, original = {}, gymnasium.make
+
+    def make(name, **settings):
+        seen.update(settings)
+        return original(name, **settings)
+
+    monkeypatch.setattr(table.gym, "make", make)
+    monkeypatch.setattr(table, "_digest", lambda folder: "weights")
+    monkeypatch.setattr(table, "Sensing", lambda sensor: Sensing(sensor=sensor, completer="hull"))
+    member = replace(BASELINE, partial=False, observation="completed", sensor="d455")
+    chosen = PlanningTable("completed", (member,), modes=("closed loop",))
+    run_planning_table(chosen, data_folder, tmp_path)
+    assert seen["observation"] == "completed" and seen["sensing"].sensor == "d455"
+    (run,) = [Run.load(p) for p in tmp_path.rglob("seed-*.npz")]
+    assert run.steps == 2
 
 
 def test_a_piece_is_named_after_all_that_decides_it(tmp_path, monkeypatch):
