@@ -252,6 +252,10 @@ def _speed() -> str:
     for name, row in result.get("planners", {}).items():
         label = f"MPPI of `{name}` with our model, seconds an action; planning cost at the end"
         rows.append([label, f"{row['seconds']:.3f}; {row['final_cost']:.2f}"])
+    for name, stages in result.get("perception", {}).items():
+        told = ", ".join(f"{stage} {1e3 * seconds:.0f}" for stage, seconds in stages.items() if stage != "all")
+        label = "ray-cast view, 128 x 128" if name == "ray-cast" else f"{name} view to a scene (D455, no SAM3)"
+        rows.append([f"{label}, ms", f"{1e3 * stages['all']:.0f}{f' ({told})' if told else ''}"])
     start = result["start"]
     rows.append(["`gym.make` and `reset` in a fresh process", f"{start['seconds']:.1f} s, {start['gib']:.2f} GiB"])
     rows.append(["peak memory of all this, GiB", f"{result['peak_gib']:.2f}"])

@@ -200,6 +200,7 @@ def test_demo_draws_both_worlds(tmp_path, capsys):
 @pytest.mark.slow
 def test_bench_writes_its_results(tmp_path):
     args = "bench --seconds 1 --num-envs 1 4 --samples 4 8 12 --horizons 2 3 --points 300 1200 --planners 1 --threads 1"
+    args += " --completer hull"
     main([*args.split(), "--json", str(tmp_path / "bench.json"), "--pictures", str(tmp_path)])
     results = json.loads((tmp_path / "bench.json").read_text())
     assert results["simulator_steps_per_second"] > 0
@@ -214,3 +215,6 @@ def test_bench_writes_its_results(tmp_path):
     }
     assert set(results["planners"]) == {"pwm_gym", "pytorch_mppi", "torchrl"}
     assert (tmp_path / "growth.png").exists()
+    assert set(results["perception"]["first"]) == {"robot", "segment", "clean", "complete", "all"}
+    assert set(results["perception"]["later"]) == {"robot", "segment", "clean", "track", "all"}
+    assert 0.0 < results["perception"]["ray-cast"]["all"] < results["start"]["seconds"]

@@ -45,6 +45,8 @@ class Bench:
     """Points of the scenes that plans are made for."""
     planners: int = 0
     """Scenes on which our MPPI is compared with those of pytorch_mppi and TorchRL (the extra "planners")."""
+    completer: str | None = None
+    """Times the way from a view to a scene with this completer: a checkpoint's folder, "default" or "hull"."""
     pictures: Path | None = None
     """Folder for a picture of how the times grow."""
     json: Path | None = None
@@ -67,6 +69,8 @@ class Bench:
         results.update(self._sizes(checkpoint.model, task, scenes[0]))
         if self.planners:
             results["planners"] = benchmarks.compare_planners(checkpoint.model, task, scenes)
+        if self.completer is not None:
+            results["perception"] = benchmarks.perception_times(task, self.completer)
         results["peak_gib"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
         _print(results)
         if self.pictures is not None:
@@ -137,6 +141,8 @@ def _print(results: dict[str, Any]) -> None:
     )
     for name, row in results.get("planners", {}).items():
         print(f"{name}: {row['seconds']:.3f} s an action, cost at the end {row['final_cost']:.2f}")
+    for name, row in results.get("perception", {}).items():
+        print(f"{name} view (ms): {', '.join(f'{stage} {1e3 * s:.0f}' for stage, s in row.items())}")
     print(f"peak memory: {results['peak_gib']:.2f} GiB")
 
 

@@ -1,4 +1,4 @@
-"""Speed: environments against the simulator, rollouts and plans over their sizes, planners of other libraries."""
+"""Speed: environments against the simulator, rollouts, plans, planners of other libraries, perception."""
 
 from __future__ import annotations
 
@@ -20,9 +20,21 @@ from pwm_gym.dynamics import WorldModel, rollout
 from pwm_gym.planning import MPPIConfig, RolloutObjective, build_planner
 from pwm_gym.planning.adapters import FlatModel
 from pwm_gym.scene import Scene, batch_state
+from pwm_gym.seeds import seed_range
+from pwm_gym.sensing import RayCaster
 from pwm_gym.tasks import Task
+from pwm_gym.tasks.cameras import CAMERA
+from pwm_gym.tasks.observing import build_observer
 
-__all__ = ["compare_planners", "model_rates", "plan_times", "rollout_floor", "rollout_times", "simulator_rate"]
+__all__ = [
+    "compare_planners",
+    "model_rates",
+    "perception_times",
+    "plan_times",
+    "rollout_floor",
+    "rollout_times",
+    "simulator_rate",
+]
 
 _LEAST_NOISE = 1e-3  # pytorch_mppi's may not be 0
 
@@ -97,6 +109,41 @@ def rollout_floor(model: WorldModel, scene: Scene, samples: int, horizon: int) -
     for name, kind in (("product", "flop"), ("memory", "bytes"), ("overhead", "operations")):
         measured[f"{name}_seconds"] = measured[kind] / measured[f"{kind}_per_second"]
     return measured
+
+
+def perception_times(task: Task, completer: str, scenes: int = 20) -> dict[str, dict[str, float]]:
+    """Median seconds from a depth image of the D455's model and joint angles to a scene, without SAM3.
+
+    Args:
+        task: of the scenes, each seen twice: at reset, and one random action later.
+        completer: as of :func:`~pwm_gym.completion.build_completer`.
+        scenes: of the planning-validation seeds.
+
+    Returns:
+        "first" (with completion) and "later" (tracked) views: seconds of each stage, and of "all". "ray-cast": of one
+        view of :data:`~pwm_gym.tasks.cameras.CAMERA`.
+    """
+    spent: dict[str, list[dict[str, float]]] = {"first": [], "later": []}
+    with gym.make(f"pwm/{task.name}Sim-v0") as env:
+        twin: Any = env.unwrapped
+        meshes, layout, look = twin.simulator.meshes(), task.layout, None
+        env.action_space.seed(0)
+        for seed in seed_range("plan_validation", scenes):
+            env.reset(seed=seed)
+            scene = twin.scene()
+            if look is None:
+                look = build_observer(task, layout, meshes, scene.clouds, completer, sensor="d455")
+            look.reset(seed)
+            spent["first"].append(look(scene).seconds)
+            env.step(env.action_space.sample())
+            spent["later"].append(look(twin.scene()).seconds)
+        poses = batch_state([scene]).poses()[0].numpy()
+    caster = RayCaster(meshes, layout)
+    rows = {name: [{**s, "all": sum(s.values())} for s in each] for name, each in spent.items()}
+    return {
+        "ray-cast": {"all": _median(partial(caster.view, CAMERA, poses), 9)},
+        **{name: {k: float(np.median([r[k] for r in each])) for k in each[0]} for name, each in rows.items()},
+    }
 
 
 class _Traffic(TorchDispatchMode):
