@@ -11,10 +11,12 @@ import tyro
 from pwm_gym.completion import CompletionTrainConfig, ObjectSet
 
 if TYPE_CHECKING:
-    from pwm_gym.completion import CompletionNet, ViewConfig
+    from pwm_gym.completion import CompletionNet, ViewConfig, Views
 
 __all__ = ["Complete"]
 
+_CLEAN = "clean"
+_DRAWN = 12  # objects of a gallery
 _VALIDATION = 40  # generated shapes, none of which is trained on
 _CELLS = ("chamfer", "partial", "hull", "floor", "centroid_percent", "better_than_hull")
 
@@ -42,8 +44,8 @@ class Complete:
     """Views of each object in the evaluation."""
     view_seed: int = 0
     """Of the views that are evaluated, or of the one of ``--mesh``."""
-    picture: Path | None = None
-    """PNG: a gallery of the evaluated objects, or of ``--mesh``."""
+    pictures: Path | None = None
+    """Folder for galleries (PNG) of evaluated objects and of the worst of their views, or of ``--mesh``."""
     json: Path | None = None
     """Where to write the results of the evaluation."""
     objects: Annotated[ObjectSet, tyro.conf.arg(name="")] = field(default_factory=ObjectSet)
@@ -80,18 +82,22 @@ class Complete:
         from pwm_gym.perception import clean
 
         rows: dict[str, Any] = {}
-        sets = {"seen": self.objects.read(), "unseen": self.objects.read(seen=False)}
-        for split, meshes in sets.items():
+        completer = LearnedCompleter(net)
+        for split, seen in (("seen", True), ("unseen", False)):
+            meshes = self.objects.read(seen)
+            if not meshes:
+                continue
+            names = list(meshes)
             for name, config in _conditions().items():
-                if meshes:
-                    views = Views(list(meshes.values()), config, cleaner=clean)
-                    found = evaluate_completion(
-                        LearnedCompleter(net), views, list(meshes), self.views, seed=self.view_seed
-                    )
-                    rows[f"{split}, {name}"] = found
+                views = Views(list(meshes.values()), config, cleaner=clean)
+                row = evaluate_completion(completer, views, names, self.views, seed=self.view_seed)
+                rows[f"{split}, {name}"] = row
+                if self.pictures is not None and name == _CLEAN:
+                    first = [(n, 0) for n in names[:: -(-len(names) // _DRAWN)]]
+                    worst = [(w["name"], w["view"]) for w in row["worst"]]
+                    self._gallery(net, views, names, first, self.pictures / f"{split}.png")
+                    self._gallery(net, views, names, worst, self.pictures / f"{split}_worst.png")
         _print(rows)
-        if self.picture is not None:
-            self._gallery(net, {name: mesh for meshes in sets.values() for name, mesh in meshes.items()}, self.picture)
         if self.json is not None:
             write_results(self.json, {"checkpoint": description["training"], "views": self.views, "rows": rows})
 
@@ -100,26 +106,26 @@ class Complete:
         from pwm_gym.evaluation.completion import evaluate_completion
 
         meshes = {name: normalise(mesh) for name, mesh in load_meshes(path).items()}
-        views = Views(list(meshes.values()), _conditions()["clean"])
-        _print({path.stem: evaluate_completion(LearnedCompleter(net), views, list(meshes), 1, seed=self.view_seed)})
-        if self.picture is not None:
-            self._gallery(net, meshes, self.picture)
+        names, views = list(meshes), Views(list(meshes.values()), _conditions()[_CLEAN])
+        _print({path.stem: evaluate_completion(LearnedCompleter(net), views, names, 1, seed=self.view_seed)})
+        if self.pictures is not None:
+            self._gallery(net, views, names, [(name, 0) for name in names], self.pictures / f"{path.stem}.png")
 
-    def _gallery(self, net: CompletionNet, meshes: dict[str, Any], path: Path) -> None:
-        """One view of each object, as it is seen, completed and true."""
+    def _gallery(
+        self, net: CompletionNet, views: Views, names: list[str], chosen: list[tuple[str, int]], path: Path
+    ) -> None:
+        """Chosen views (object, number), each as it is seen, completed and true."""
         import numpy as np
 
-        from pwm_gym.completion import LearnedCompleter, Views
-        from pwm_gym.evaluation.completion import score_completion
+        from pwm_gym.completion import LearnedCompleter
+        from pwm_gym.evaluation.completion import score_completion, view_of
         from pwm_gym.scene import spread
         from pwm_gym.viewer.gallery import GalleryRow, draw_gallery
 
         completer, rows = LearnedCompleter(net), []
-        views = Views(list(meshes.values()), _conditions()["clean"])
-        for index, name in enumerate(meshes):
-            view = views.view(index, np.random.default_rng([self.view_seed, index, 0]))
-            truth = views.surface(index)[:2048] @ view.pose[:3, :3].T + view.pose[:3, 3]
-            done = completer(view.partial, np.zeros(3)).points
+        for name, number in chosen:
+            view, surface = view_of(views, names.index(name), number, self.view_seed)
+            truth, done = surface[:2048], completer(view.partial, np.zeros(3)).points
             label = f"{name}: {1e3 * score_completion(done, truth).chamfer:.0f}"
             rows.append(GalleryRow(label, (spread(view.partial, 2048), done, truth)))
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -133,7 +139,7 @@ class _Validation:
     def __init__(self, objects: ObjectSet) -> None:
         from pwm_gym.completion import Views, random_shapes
 
-        self.views = Views(random_shapes(objects.shapes, first=0), _conditions()["clean"])
+        self.views = Views(random_shapes(objects.shapes, first=0), _conditions()[_CLEAN])
 
     def __call__(self, net: Any) -> dict[str, float]:
         from pwm_gym.completion import LearnedCompleter
@@ -148,7 +154,7 @@ def _conditions() -> dict[str, ViewConfig]:
     from pwm_gym.completion import ViewConfig
 
     clean = ViewConfig().clean()
-    return {"clean": clean, "sensor and 30 % hidden": replace(clean, sensed=1.0, occluded=1.0, hidden=(0.3, 0.3))}
+    return {_CLEAN: clean, "sensor and 30 % hidden": replace(clean, sensed=1.0, occluded=1.0, hidden=(0.3, 0.3))}
 
 
 def _print(rows: dict[str, Any]) -> None:

@@ -10,13 +10,14 @@ import numpy as np
 from scipy.stats import spearmanr
 from tqdm import tqdm
 
-from pwm_gym.completion import Completer, HullCompleter, Views
+from pwm_gym.completion import Completer, HullCompleter, ObjectView, Views
 from pwm_gym.evaluation.metrics import nearest_distances
 from pwm_gym.scene import spread
 
-__all__ = ["CompletionScore", "evaluate_completion", "score_completion"]
+__all__ = ["CompletionScore", "evaluate_completion", "score_completion", "view_of"]
 
 _WITHIN = 0.02  # of the F-score, in units of the object's size
+_WORST = 8  # views that are told of
 
 
 @dataclass(frozen=True)
@@ -68,19 +69,19 @@ def evaluate_completion(
     Returns:
         "chamfer", "accuracy", "completeness" (times 1000), "f_score", "centroid_percent" of the completion; "partial",
         "hull" and "floor" (Chamfer distances times 1000); "better_than_hull" (share of the views); "error_rank"
-        (correlation of expected and real errors); "objects" (Chamfer times 1000 by name).
+        (correlation of expected and real errors); "objects" (Chamfer times 1000 by name); "worst" (the views with the
+        largest Chamfer distances: "name", "view", "chamfer").
     """
     hull, rows = HullCompleter(), []
     for index, name in enumerate(tqdm(names, disable=not progress, desc="complete", leave=False)):
         for k in range(each):
-            rng = np.random.default_rng([seed, index, k])
-            view = views.view(index, rng)
-            surface = views.surface(index) @ view.pose[:3, :3].T + view.pose[:3, 3]
-            truth, fresh = np.split(surface[rng.choice(len(surface), 2 * points, replace=False)], 2)
+            view, surface = view_of(views, index, k, seed)
+            truth, fresh = surface[:points], surface[points : 2 * points]
             done = completer(view.partial, np.zeros(3), points)
             rows.append(
                 {
                     "name": name,
+                    "view": k,
                     "error": done.error,
                     "score": score_completion(done.points, truth),
                     "partial": score_completion(spread(view.partial, points), truth).chamfer,
@@ -91,12 +92,27 @@ def evaluate_completion(
     return _summary(rows)
 
 
+def view_of(views: Views, index: int, number: int, seed: int = 0) -> tuple[ObjectView, np.ndarray]:
+    """One of the views that are evaluated, and points (n, 3) of the true surface in its frame, in random order.
+
+    Args:
+        views: of the objects.
+        index: of the object.
+        number: of its view.
+        seed: of all views.
+    """
+    rng = np.random.default_rng([seed, index, number])
+    view = views.view(index, rng)
+    return view, rng.permutation(views.surface(index)) @ view.pose[:3, :3].T + view.pose[:3, 3]
+
+
 def _summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     def mean(values: list[float]) -> float:
         return float(np.mean(values))
 
     scores = [r["score"] for r in rows]
     objects = sorted({r["name"] for r in rows})
+    worst = sorted(rows, key=lambda r: -r["score"].chamfer)[:_WORST]
     return {
         "views": len(rows),
         "chamfer": 1e3 * mean([s.chamfer for s in scores]),
@@ -107,5 +123,6 @@ def _summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         **{name: 1e3 * mean([r[name] for r in rows]) for name in ("partial", "hull", "floor")},
         "better_than_hull": mean([float(r["score"].chamfer < r["hull"]) for r in rows]),
         "error_rank": float(spearmanr([r["error"] for r in rows], [s.chamfer for s in scores]).statistic),
+        "worst": [{"name": r["name"], "view": r["view"], "chamfer": 1e3 * r["score"].chamfer} for r in worst],
         "objects": {n: 1e3 * mean([r["score"].chamfer for r in rows if r["name"] == n]) for n in objects},
     }

@@ -66,7 +66,7 @@ def test_the_command_trains_measures_and_draws(folder, tmp_path, capsys):
     out = tmp_path / "run"
     training = ["--train", "--out", str(out), "--shapes", "4", "--phases", "1", "2", "4", "3", "1", "4"]
     meshes = ["--meshes", str(folder), "--held-out", "can"]
-    files = ["--json", str(tmp_path / "found.json"), "--picture", str(tmp_path / "found.png")]
+    files = ["--json", str(tmp_path / "found.json"), "--pictures", str(tmp_path / "drawn")]
     with warnings.catch_warnings():
         warnings.simplefilter("error", UserWarning)
         main(["complete", *training, *meshes, "--evaluate", "--views", "1", *files, "--threads", "1"])
@@ -75,9 +75,23 @@ def test_the_command_trains_measures_and_draws(folder, tmp_path, capsys):
     found = json.loads((tmp_path / "found.json").read_text())["rows"]
     assert set(found) == {f"{s}, {c}" for s in ("seen", "unseen") for c in ("clean", "sensor and 30 % hidden")}
     assert set(found["unseen, clean"]["objects"]) == {"can"} and found["seen, clean"]["views"] == 2
-    assert (tmp_path / "found.png").stat().st_size > 5000
+    drawn = {p.name: p.stat().st_size for p in (tmp_path / "drawn").iterdir()}
+    assert set(drawn) == {"seen.png", "seen_worst.png", "unseen.png", "unseen_worst.png"} and min(drawn.values()) > 5000
+    worst = [w["chamfer"] for w in found["seen, clean"]["worst"]]
+    assert worst == sorted(worst, reverse=True) and np.mean(worst) == pytest.approx(found["seen, clean"]["chamfer"])
     assert "seen, clean" in capsys.readouterr().out
-    main(["complete", "--mesh", str(folder / "can.stl"), "--checkpoint", str(out / "checkpoint")])
+    main(
+        [
+            "complete",
+            "--mesh",
+            str(folder / "can.stl"),
+            "--checkpoint",
+            str(out / "checkpoint"),
+            "--pictures",
+            str(tmp_path),
+        ]
+    )
+    assert (tmp_path / "can.png").exists()
     assert "can" in capsys.readouterr().out
 
 
