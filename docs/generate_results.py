@@ -56,6 +56,8 @@ def page() -> str:
         _planning("table_planning"),
         _planning("table_planners"),
         _planning("table_completed"),
+        _completion(),
+        _completed_rollouts(),
         *_tables(),
         _speed(),
         _LIMITS,
@@ -205,6 +207,51 @@ def _failures(rows: list[dict[str, Any]]) -> str:
             if seeds:
                 lines.append(f"- {row['row']}, {mode}: {', '.join(seeds)}")
     return "\nFailed seeds:\n\n" + "\n".join(lines) + "\n" if lines else ""
+
+
+def _completion() -> str:
+    result = _read("completion")
+    if result is None:
+        return ""
+    rows = []
+    for name, row in result["rows"].items():
+        chamfer = [_number(row[cell], 1) for cell in ("chamfer", "partial", "hull", "floor", "centroid_percent")]
+        shares = [f"{100 * row['better_than_hull']:.0f} %", _number(row["f_score"], 2), _number(row["error_rank"], 2)]
+        rows.append([f"{name} ({len(row['objects'])} objects)", *chamfer, *shares])
+    head = ["", "Chamfer x 1000", "what is seen", "its hull", "floor", "centroid, % of size", "better than the hull"]
+    about = _paragraph(
+        f"New views of meshes, {result['views']} of each, turned at random; lengths in units of the object's longest",
+        "side, Euclidean Chamfer distances of 2,048 points, half of both directions' sum. Floor: fresh points of the",
+        "true surface. The last column is the rank correlation of the expected with the real error.",
+    )
+    unseen = result["rows"].get("unseen, clean", {}).get("objects", {})
+    each = ", ".join(f"{name} {value:.0f}" for name, value in unseen.items())
+    told = f"\n{_paragraph(f'Unseen objects, clean: {each}.')}" if each else ""
+    table = _grid([*head, "F-score at 2 %", "knows its error"], rows)
+    return f"## Completion\n\n{_source('completion', result)}\n{about}\n{table}{told}"
+
+
+def _completed_rollouts() -> str:
+    result = _read("evaluate_completed")
+    if result is None:
+        return ""
+    labels = {"compact": "complete clouds from the simulator"}
+    labels.update({k: f"{k} of the robot" for k in result["rows"] if k.startswith("completed")})
+    rows = []
+    for split in ("all", "expert", "randomised"):
+        for key, label in labels.items():
+            row = result["rows"][key][split]
+            position = row["entities"]["cube"]["position_mm"]["60"]
+            cells = [_number(row["chamfer_l1"], 4), _number(row["reward_correlation"], 3)]
+            first = f"{split} ({row['episodes']})" if key == "compact" else ""
+            rows.append([first, label, *cells, f"{position['mean']:.1f} / {position['median']:.1f}"])
+    head = ["episodes", "the model starts from", "Chamfer L1 (m)", "reward correlation", "cube at 60 (mm)"]
+    about = _paragraph(
+        "The default model from what perception makes of the first views: the object segmented by the simulator's ids,",
+        "cleaned, completed and tracked, the robot from its joint angles; scored against the complete truth.",
+    )
+    table = _grid(head, rows)
+    return f"## Rollouts from completed views\n\n{_source('evaluate_completed', result)}\n{about}\n{table}"
 
 
 def _tables() -> list[str]:
