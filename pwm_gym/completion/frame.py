@@ -49,6 +49,12 @@ class ViewerFrame:
         side /= np.linalg.norm(side)
         return cls(np.stack([side, np.cross(forward, side), forward], 1), centre, size)
 
+    def turn(self, angle: float) -> ViewerFrame:
+        """The same frame, turned by ``angle`` (radians) about the line of sight."""
+        cos, sin = np.cos(angle), np.sin(angle)
+        about = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+        return ViewerFrame(self.rotation @ about, self.centre, self.size)
+
     def enter(self, points: np.ndarray) -> np.ndarray:
         """Points (..., 3) of the base's frame in this one, float32."""
         return ((points - self.centre) @ self.rotation / self.size).astype(np.float32)

@@ -12,6 +12,7 @@ from pwm_gym.completion import (
     HullCompleter,
     LearnedCompleter,
     ViewConfig,
+    ViewerFrame,
     Views,
     chamfer_loss,
     load_completion,
@@ -20,6 +21,7 @@ from pwm_gym.completion import (
 )
 from pwm_gym.errors import CheckpointError, PwmGymError, UnknownNameError
 from pwm_gym.evaluation.completion import evaluate_completion, score_completion
+from pwm_gym.scene import spread
 
 SMALL = CompletionConfig((64, 32, 16, 8), (8, 8, 16, 16), 4, 32, 1, 2, 32, 2, 32, 16, (2, 2), 16, 4)
 TRAINING = CompletionTrainConfig(
@@ -113,6 +115,25 @@ def test_completers_move_and_scale_with_what_they_see(make):
     expected = 0.1 * done.points + shift
     assert score_completion(moved.points, expected).chamfer < 6e-3  # a hull's points are drawn anew
     np.testing.assert_allclose(moved.error, 0.1 * done.error, rtol=1e-2)
+
+
+def test_a_completion_is_the_union_of_what_is_made_of_each_turn():
+    """The view turned about the line of sight is completed as the view itself, turned."""
+    completer = LearnedCompleter(network(), turns=4)
+    cloud = np.random.default_rng(0).normal((0.1, 0.2, 1.0), 0.1, (SMALL.points[0], 3))
+    seen = spread(cloud, len(cloud))
+    count = 4 * SMALL.levels[-1]  # every point of every turn
+    whole = completer(seen, np.zeros(3), count)
+    assert whole.points.shape == (count, 3)
+    frame = ViewerFrame.of(seen, np.zeros(3))
+    quarter = frame.turn(0.5 * np.pi).rotation @ frame.rotation.T  # in the camera's frame
+    turned = ((seen - frame.centre) @ quarter.T + frame.centre).astype(np.float32)
+    expected = (whole.points - frame.centre) @ quarter.T + frame.centre
+    assert cKDTree(completer(turned, np.zeros(3), count).points).query(expected)[0].max() < 1e-4
+    one = LearnedCompleter(completer.net, turns=1)(seen, np.zeros(3), SMALL.levels[-1])
+    assert cKDTree(whole.points).query(one.points)[0].max() < 1e-5
+    with pytest.raises(PwmGymError, match="turns=0; expected at least 1"):
+        LearnedCompleter(completer.net, turns=0)
 
 
 def test_a_hull_encloses_what_is_seen():
