@@ -183,6 +183,7 @@ def _planning(name: str, title: str = "") -> str:
     for row in result["rows"]:
         rounds = f" x {row['iterations']}" if row["iterations"] > 1 else ""
         label = f"{row['row']}{', partial clouds' if row['partial'] else ''}, {row['samples']}{rounds} samples"
+        label += f", {row['max_steps']} steps at most"
         rows += [[label, mode, *_success(outcome)] for mode, outcome in row["modes"].items()]
     commits = sorted({str(mode["commit"]) for row in result["rows"] for mode in row["modes"].values()})
     source = _source(name, {**result, "commit": ", ".join(commits)})

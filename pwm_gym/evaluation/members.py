@@ -35,7 +35,7 @@ CHUNKS = {"closed loop": 1, "chunks of 20": 20, "chunks of 50": 50, "open loop":
 
 _EPISODES, _SLOW_EPISODES, _FULL_EPISODES = 20, 5, 100
 _SLOW_SAMPLES = 32
-_MAX_STEPS = 100
+_MAX_STEPS, _SLOW_MAX_STEPS = 100, 50
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class Member:
     source: str
     """The checkpoint, the row or the baseline."""
     slow: bool = False
-    """Whether it plans fewer episodes with fewer samples."""
+    """Whether it plans fewer and shorter episodes with fewer samples."""
     partial: bool = False
     """Whether it sees what one camera sees."""
     planner: str = "mppi"
@@ -63,6 +63,11 @@ class Member:
         """Settings of its planner."""
         config = get_planner_config(self.planner)
         return config.resize(_SLOW_SAMPLES) if self.slow else config
+
+    @property
+    def max_steps(self) -> int:
+        """Actions of an episode at most."""
+        return _SLOW_MAX_STEPS if self.slow else _MAX_STEPS
 
 
 @dataclass(frozen=True)
@@ -150,6 +155,7 @@ def run_planning_table(
             modes[mode] = json.loads(path.read_text())
         config = member.config
         facts = {"planner": member.planner, "samples": config.samples, "iterations": config.iterations}
+        facts["max_steps"] = member.max_steps
         rows.append({"row": member.name, "partial": member.partial, **facts, "horizon": config.horizon, "modes": modes})
     return {"caption": table.caption, "rows": rows}
 
@@ -163,7 +169,7 @@ def _path(out: Path, task: str, member: Member, data: Path, chunk: int, episodes
         source += _digest(SHIPPED)
     if member.kind == "row":
         source = row_folder("rollout", member.source, data, out, task).name
-    recipe = repr((task, member, source, chunk, episodes, member.config, _MAX_STEPS))
+    recipe = repr((task, member, source, chunk, episodes, member.config, member.max_steps))
     return out / f"planning-{hashlib.sha256(recipe.encode()).hexdigest()[:12]}.json"
 
 
@@ -194,7 +200,7 @@ def _plan(model: WorldModel, member: Member, task: Task, chunk: int, episodes: i
         simulator.close()
     agent, seeds = Agent(model, task.name, member.config), seed_range("plan_test", episodes)
     shown: dict[str, Any] = {"observation": member.observation, "sensing": Sensing(sensor=member.sensor)}
-    with gym.make(f"pwm/{task.name}Sim-v0", max_episode_steps=_MAX_STEPS, **shown) as env:
-        runs = run_episodes(env, agent, seeds, _MAX_STEPS, chunk, observe)
+    with gym.make(f"pwm/{task.name}Sim-v0", max_episode_steps=member.max_steps, **shown) as env:
+        runs = run_episodes(env, agent, seeds, member.max_steps, chunk, observe)
     save_runs([run for run in runs if not run.success], folder)
     return planning_table(runs)

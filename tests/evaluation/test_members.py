@@ -27,7 +27,7 @@ TABLE = PlanningTable("one baseline", (BASELINE,), modes=("closed loop", "open l
 def quick(monkeypatch):
     """One episode of two steps, few samples."""
     monkeypatch.setattr(table, "_SLOW_EPISODES", 1)
-    monkeypatch.setattr(table, "_MAX_STEPS", 2)
+    monkeypatch.setattr(table, "_SLOW_MAX_STEPS", 2)
     monkeypatch.setattr(table, "get_planner_config", lambda name: MPPIConfig(samples=8, elites=4, horizon=2))
     monkeypatch.setattr(table, "_SLOW_SAMPLES", 4)
 
@@ -51,7 +51,7 @@ def test_a_table_tells_every_mode_and_keeps_what_is_there(quick, data_folder, tm
 
 def test_other_settings_are_another_piece(quick, data_folder, tmp_path, monkeypatch):
     run_planning_table(TABLE, data_folder, tmp_path)
-    monkeypatch.setattr(table, "_MAX_STEPS", 1)
+    monkeypatch.setattr(table, "_SLOW_MAX_STEPS", 1)
     (row,) = run_planning_table(TABLE, data_folder, tmp_path)["rows"]
     assert row["modes"]["open loop"]["runs"][0]["steps"] == 1
 
