@@ -7,6 +7,7 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 import torch
+from scipy.spatial import cKDTree
 
 from pwm_gym.completion.checkpoint import load_completion
 from pwm_gym.completion.frame import LEAST, ViewerFrame
@@ -15,6 +16,8 @@ from pwm_gym.errors import PwmGymError
 from pwm_gym.scene import spread
 
 __all__ = ["Completer", "Completion", "HullCompleter", "LearnedCompleter", "build_completer"]
+
+_NEIGHBOURS, _STRAYS = 7, 0.02  # a stray point is among this share of those that are loneliest
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +46,8 @@ class LearnedCompleter:
     """Completion by the network.
 
     What is seen can be turned about the line of sight as one likes, and the network, which saw it turned in another way
-    each time, completes it a little differently: the union of several turns, thinned, is closer to the truth than one.
+    each time, completes it a little differently. Of the union of several turns the loneliest points are dropped and the
+    rest is thinned evenly: one turn's points crowd where the object is seen, and their middle lies there.
 
     Args:
         net: trained; it is put into evaluation mode.
@@ -68,7 +72,8 @@ class LearnedCompleter:
         with torch.inference_mode():
             clouds, doubt = self.net(torch.from_numpy(np.stack([f.enter(seen) for f in frames])).to(self.device))
         whole = [f.leave(cloud) for f, cloud in zip(frames, clouds[-1].cpu().numpy(), strict=True)]
-        return Completion(spread(np.concatenate(whole), points), float(doubt.exp().mean()) * frame.size)
+        kept = _without_strays(np.concatenate(whole))
+        return Completion(spread(kept, points), float(doubt.exp().mean()) * frame.size)
 
 
 class HullCompleter:
@@ -94,6 +99,14 @@ def build_completer(completer: str | Completer) -> Completer:
     if not isinstance(completer, str):
         return completer
     return HullCompleter() if completer == "hull" else LearnedCompleter(load_completion(completer)[0])
+
+
+def _without_strays(points: np.ndarray) -> np.ndarray:
+    """Points (n, 3) without the few that lie farthest from their neighbours, which an even thinning would all keep."""
+    gaps, _ = cKDTree(points).query(points, _NEIGHBOURS + 1)  # each point is its own nearest
+    lonely = gaps.mean(1)
+    kept: np.ndarray = points[lonely <= np.quantile(lonely, 1.0 - _STRAYS)]
+    return kept
 
 
 def _check(partial: np.ndarray, eye: np.ndarray) -> None:
