@@ -41,9 +41,12 @@ class Cleaning:
     5 degrees, which suit predicted depth, since measured depth is noisy."""
     erosion: int = 1
     """Pixels taken off the mask's outline."""
-    kept: float = 0.4
-    """Least share of the mask's measured pixels that edges and erosion must leave; otherwise the erosion is left out,
-    and then the edges too, as for thin objects, which are all outline."""
+    inside: float = 0.9
+    """Least share of the pixels that the erosion must leave; otherwise it is left out: a small object's outline is a
+    large part of it, and without it the object looks smaller."""
+    sharp: float = 0.4
+    """Least share of the mask's measured pixels that edges must leave; otherwise they stay, as of thin objects, which
+    are all edge."""
     median: int = 3
     """Width of the median filter's window, pixels (odd)."""
     neighbours: int = 12
@@ -52,7 +55,7 @@ class Cleaning:
     """Times the median of that distance from which a point is one."""
     reach: float = 3.0
     """Times the median distance to the 4 nearest neighbours up to which points hang together."""
-    cluster: float = 0.2
+    cluster: float = 0.05
     """Share of the largest cluster's points that another one needs to be kept; 1 keeps only the largest. An occluder in
     front of an object cuts its visible surface in two, so that smaller parts may be true."""
 
@@ -208,8 +211,9 @@ def _reliable(depth: np.ndarray, mask: np.ndarray, camera: DepthCamera, config: 
     inner = sharp
     if config.erosion:
         inner = sharp & ndimage.binary_erosion(mask, iterations=config.erosion, border_value=1)
-    enough = config.kept * measured.sum()
-    return next((pixels for pixels in (inner, sharp) if pixels.sum() >= enough), measured)
+    if inner.sum() >= config.inside * sharp.sum() and inner.any():
+        return inner
+    return sharp if sharp.sum() >= config.sharp * measured.sum() else measured
 
 
 def _spacing(points: np.ndarray, neighbours: int) -> np.ndarray:

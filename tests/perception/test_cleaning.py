@@ -91,9 +91,10 @@ def test_edges_are_the_pixels_behind_a_jump_and_slanted_planes_have_none():
 def test_erosion_takes_the_outline_of_thick_objects_only():
     config = Cleaning(edge_jump=0, median=0, neighbours=0, cluster=0)
     depth = np.full((128, 128), 1.0)
-    assert len(clean(depth, block(slice(20, 40), slice(30, 60)), CAMERA, config)) == 18 * 28
+    assert len(clean(depth, block(slice(20, 60), slice(30, 90)), CAMERA, config)) == 38 * 58
+    assert len(clean(depth, block(slice(20, 40), slice(30, 60)), CAMERA, config)) == 20 * 30  # a sixth of it is outline
     assert len(clean(depth, block(slice(20, 40), slice(30, 32)), CAMERA, config)) == 20 * 2
-    assert len(clean(depth, block(slice(0, 20), slice(0, 30)), CAMERA, config)) == 19 * 29  # cut by the image's border
+    assert len(clean(depth, block(slice(0, 40), slice(0, 60)), CAMERA, config)) == 39 * 59  # cut by the image's border
 
 
 def test_thin_objects_lose_what_flies_but_not_their_outline():
