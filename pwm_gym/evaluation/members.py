@@ -16,7 +16,6 @@ from pwm_gym.completion import SHIPPED
 from pwm_gym.data import fit_baseline, load_split
 from pwm_gym.data.partial import PartialView
 from pwm_gym.dynamics import WorldModel, load_checkpoint, resolve
-from pwm_gym.envs import Sensing
 from pwm_gym.errors import look_up
 from pwm_gym.evaluation.planning import planning_table, run_episodes, save_runs
 from pwm_gym.evaluation.record import describe_commit
@@ -193,6 +192,8 @@ def _model(member: Member, data: Path, out: Path, task: Task) -> WorldModel:
 
 def _plan(model: WorldModel, member: Member, task: Task, chunk: int, episodes: int, folder: Path) -> dict[str, Any]:
     """Test seeds of planning in the simulator; failed runs are saved in ``folder``."""
+    from pwm_gym.envs import Sensing  # trainings read this package where environments may not be installed
+
     observe: Callable[[Scene], Scene] | None = None
     if member.partial:
         simulator = task.simulator()

@@ -80,7 +80,7 @@ def test_what_the_environment_shows_is_what_is_planned_from(data_folder, tmp_pat
 
     monkeypatch.setattr(table.gym, "make", make)
     monkeypatch.setattr(table, "_digest", lambda folder: "weights")
-    monkeypatch.setattr(table, "Sensing", lambda sensor: Sensing(sensor=sensor, completer="hull"))
+    monkeypatch.setattr("pwm_gym.envs.Sensing", lambda sensor: Sensing(sensor=sensor, completer="hull"))
     member = replace(BASELINE, partial=False, observation="completed", sensor="d455")
     chosen = PlanningTable("completed", (member,), modes=("closed loop",))
     run_planning_table(chosen, data_folder, tmp_path)
