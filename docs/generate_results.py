@@ -30,8 +30,8 @@ data": its episodes, objects and simulator differ, so that they show the order o
 """
 _LIMITS = """## What these figures do not show
 
-- Clouds are complete and come from the simulator's meshes; only the baselines marked "partial" see what a camera sees.
-  Errors of completion and of segmentation are not in any row.
+- Clouds are complete and come from the simulator's meshes, but for the baselines marked "partial" and the sections on
+  completion, where the object is segmented by the simulator's ids: errors of segmentation are not in any row.
 - One task, one robot, one object of one size. Nothing here tells how a model transfers to another.
 - The arm's kinematics and its controller are known to the default model and to no baseline; the table of the arm, where
   it is given, tells what that is worth.

@@ -25,7 +25,7 @@ __all__ = ["CompletionLoss", "CompletionTrainConfig", "chamfer_loss", "train_com
 class CompletionTrainConfig(LoopConfig):
     """How to train. The defaults train the compact network."""
 
-    phases: tuple[tuple[int, int, int], ...] = ((1, 6000, 32), (3, 4000, 24))
+    phases: tuple[tuple[int, int, int], ...] = ((1, 2500, 32), (3, 1300, 16))
     """(steps of the decoder, optimiser steps, batch size), one after the other: the first levels alone are trained in a
     fraction of the time."""
     learning_rate: float = 2e-3
