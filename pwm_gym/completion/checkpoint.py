@@ -14,7 +14,7 @@ from pwm_gym.learning import load_weights, read_description, save_weights
 
 __all__ = ["SHIPPED", "load_completion", "save_completion"]
 
-SHIPPED = Path(__file__).parent / "checkpoint"
+SHIPPED = Path(__file__).parent / "weights"
 """Folder of the network that comes with the package."""
 _FORMAT, _SCHEMA = "pwm_gym.completion", 1
 
