@@ -197,6 +197,7 @@ class TestShipped:
         assert found["chamfer"] < 0.6 * found["hull"]
         assert found["centroid_percent"] < 0.5 * hull["centroid_percent"]
 
+    @pytest.mark.slow  # of time: beside other processes it takes longer
     def test_it_takes_a_tenth_of_a_second(self, completer):
         view = Views(BALL, ViewConfig().clean()).view(0, np.random.default_rng(0))
         assert min(timeit.repeat(lambda: completer(view.partial, np.zeros(3)), number=1, repeat=7)) < 0.1
