@@ -4,7 +4,7 @@ python examples/plan_from_frame.py                          # records a view of 
 python examples/plan_from_frame.py --frame FILE_OR_FOLDER   # yours: see pwm_gym.perception.load_frames
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -14,12 +14,10 @@ import tyro
 
 import pwm_gym
 from pwm_gym.completion import build_completer
-from pwm_gym.perception import Frame, MaskSegmenter, SceneObserver, load_frames
+from pwm_gym.perception import FrameRenderer, MaskSegmenter, SceneObserver, load_frames
 from pwm_gym.scene import batch_state
-from pwm_gym.sensing import RayCaster
-from pwm_gym.sensing.sensor import get_sensor
 from pwm_gym.tasks import get_task
-from pwm_gym.tasks.cameras import CAMERA
+from pwm_gym.tasks.cameras import CAMERA, CAMERA_SCALE
 
 
 @dataclass
@@ -42,11 +40,10 @@ def record(path: Path) -> None:
     with gym.make("pwm/PickCubeSim-v0") as twin:
         twin.reset(seed=400_000)
         scene, meshes = twin.unwrapped.scene(), twin.unwrapped.simulator.meshes()
-    camera = CAMERA.resize(2)
-    view = RayCaster(meshes, task.layout).view(camera, batch_state([scene]).poses()[0].numpy())
-    depth = get_sensor("d455").apply(view.depth, camera, np.random.default_rng(0))
-    masks = {"cube": view.segmentation == task.layout.names.index("cube")}
-    Frame(None, depth, camera, joints=scene.joints[0], masks=masks).save(path)
+    render = FrameRenderer(meshes, task.layout, CAMERA.resize(CAMERA_SCALE), "d455")
+    frame = render(scene, np.random.default_rng(0))
+    masks = {"cube": frame.segmentation == task.layout.names.index("cube")}
+    replace(frame, segmentation=None, masks=masks).save(path)
 
 
 def main(args: Args) -> None:

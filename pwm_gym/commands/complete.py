@@ -11,12 +11,12 @@ import tyro
 from pwm_gym.completion import CompletionTrainConfig, ObjectSet
 
 if TYPE_CHECKING:
-    from pwm_gym.completion import CompletionNet, ViewConfig, Views
+    from pwm_gym.completion import Completer, ViewConfig, Views
 
 __all__ = ["Complete"]
 
 _CLEAN = "clean"
-_DRAWN = 12  # objects of a gallery
+_DRAWN, _SHOWN = 12, 2048  # objects of a gallery, and points of each
 _VALIDATION = 40  # generated shapes, none of which is trained on
 _CELLS = ("chamfer", "partial", "hull", "floor", "centroid_percent", "better_than_hull")
 
@@ -53,7 +53,7 @@ class Complete:
 
     def run(self) -> None:
         """Do what is asked for, one after the other."""
-        from pwm_gym.completion import fit_completion, load_completion
+        from pwm_gym.completion import LearnedCompleter, fit_completion, load_completion
         from pwm_gym.errors import PwmGymError
         from pwm_gym.learning import leads
         from pwm_gym.process import prepare_process
@@ -70,19 +70,19 @@ class Complete:
             print(f"checkpoint: {checkpoint}")
         if self.evaluate or self.mesh:
             net, description = load_completion(checkpoint)
+            completer = LearnedCompleter(net)
             if self.evaluate:
-                self._evaluate(net, description)
+                self._evaluate(completer, description)
             if self.mesh:
-                self._complete(net, self.mesh)
+                self._complete(completer, self.mesh)
 
-    def _evaluate(self, net: CompletionNet, description: dict[str, Any]) -> None:
-        from pwm_gym.completion import LearnedCompleter, Views
+    def _evaluate(self, completer: Completer, description: dict[str, Any]) -> None:
+        from pwm_gym.completion import Views
         from pwm_gym.evaluation import write_results
         from pwm_gym.evaluation.completion import evaluate_completion
         from pwm_gym.perception import clean
 
         rows: dict[str, Any] = {}
-        completer = LearnedCompleter(net)
         for split, seen in (("seen", True), ("unseen", False)):
             meshes = self.objects.read(seen)
             if not meshes:
@@ -95,39 +95,39 @@ class Complete:
                 if self.pictures is not None and name == _CLEAN:
                     first = [(n, 0) for n in names[:: -(-len(names) // _DRAWN)]]
                     worst = [(w["name"], w["view"]) for w in row["worst"]]
-                    self._gallery(net, views, names, first, self.pictures / f"{split}.png")
-                    self._gallery(net, views, names, worst, self.pictures / f"{split}_worst.png")
+                    self._gallery(completer, views, names, first, self.pictures / f"{split}.png")
+                    self._gallery(completer, views, names, worst, self.pictures / f"{split}_worst.png")
         _print(rows)
         if self.json is not None:
             write_results(self.json, {"checkpoint": description["training"], "views": self.views, "rows": rows})
 
-    def _complete(self, net: CompletionNet, path: Path) -> None:
-        from pwm_gym.completion import LearnedCompleter, Views, load_meshes, normalise
+    def _complete(self, completer: Completer, path: Path) -> None:
+        from pwm_gym.completion import Views, load_meshes, normalise
         from pwm_gym.evaluation.completion import evaluate_completion
 
         meshes = {name: normalise(mesh) for name, mesh in load_meshes(path).items()}
         names, views = list(meshes), Views(list(meshes.values()), _conditions()[_CLEAN])
-        _print({path.stem: evaluate_completion(LearnedCompleter(net), views, names, 1, seed=self.view_seed)})
+        _print({path.stem: evaluate_completion(completer, views, names, 1, seed=self.view_seed)})
         if self.pictures is not None:
-            self._gallery(net, views, names, [(name, 0) for name in names], self.pictures / f"{path.stem}.png")
+            chosen = [(name, 0) for name in names]
+            self._gallery(completer, views, names, chosen, self.pictures / f"{path.stem}.png")
 
     def _gallery(
-        self, net: CompletionNet, views: Views, names: list[str], chosen: list[tuple[str, int]], path: Path
+        self, completer: Completer, views: Views, names: list[str], chosen: list[tuple[str, int]], path: Path
     ) -> None:
         """Chosen views (object, number), each as it is seen, completed and true."""
         import numpy as np
 
-        from pwm_gym.completion import LearnedCompleter
         from pwm_gym.evaluation.completion import score_completion, view_of
         from pwm_gym.scene import spread
         from pwm_gym.viewer.gallery import GalleryRow, draw_gallery
 
-        completer, rows = LearnedCompleter(net), []
+        rows = []
         for name, number in chosen:
             view, surface = view_of(views, names.index(name), number, self.view_seed)
-            truth, done = surface[:2048], completer(view.partial, np.zeros(3)).points
+            truth, done = surface[:_SHOWN], completer(view.partial, np.zeros(3), _SHOWN).points
             label = f"{name}: {1e3 * score_completion(done, truth).chamfer:.0f}"
-            rows.append(GalleryRow(label, (spread(view.partial, 2048), done, truth)))
+            rows.append(GalleryRow(label, (spread(view.partial, _SHOWN), done, truth)))
         path.parent.mkdir(parents=True, exist_ok=True)
         draw_gallery(rows, "seen, completed and true; Chamfer distance x 1000").save(path)
         print(path)

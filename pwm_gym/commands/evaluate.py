@@ -133,16 +133,14 @@ class Evaluate:
             picture.save(self.pictures / "calibration.png")
 
     def _table(self, name: str) -> None:
-        from pwm_gym.errors import unknown_name
+        from pwm_gym.errors import look_up
         from pwm_gym.evaluation import TABLES, run_planning_table, run_table, write_results
-        from pwm_gym.evaluation.members import PLANNING_TABLES
+        from pwm_gym.evaluation.members import PLANNING_TABLES, PlanningTable
         from pwm_gym.process import prepare_process
 
-        if name not in (*TABLES, *PLANNING_TABLES):
-            raise unknown_name("table", name, (*TABLES, *PLANNING_TABLES))
-        if name in PLANNING_TABLES:
+        chosen = look_up("table", name, {**TABLES, **PLANNING_TABLES})
+        if isinstance(chosen, PlanningTable):
             prepare_process(self.threads)
-            chosen = PLANNING_TABLES[name]
             planning = run_planning_table(chosen, self.data, self.out, self.task, self.full, self.members)
             _print_planning(planning)
             if self.json is not None:

@@ -7,13 +7,12 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 import torch
-from scipy.spatial import cKDTree
 
 from pwm_gym.completion.checkpoint import load_completion
 from pwm_gym.completion.frame import LEAST, ViewerFrame
 from pwm_gym.completion.network import CompletionNet
 from pwm_gym.errors import PwmGymError
-from pwm_gym.scene import spread
+from pwm_gym.scene import spacing, spread
 
 __all__ = ["Completer", "Completion", "HullCompleter", "LearnedCompleter", "build_completer"]
 
@@ -45,9 +44,9 @@ class Completer(Protocol):
 class LearnedCompleter:
     """Completion by the network.
 
-    What is seen can be turned about the line of sight as one likes, and the network, which saw it turned in another way
-    each time, completes it a little differently. Of the union of several turns the loneliest points are dropped and the
-    rest is thinned evenly: one turn's points crowd where the object is seen, and their middle lies there.
+    What is seen may be turned about the line of sight, and each turn is completed a little differently. Of the union of
+    several turns the loneliest points are dropped and the rest is thinned evenly: one turn's points crowd where the
+    object is seen, and so lies their middle.
 
     Args:
         net: trained; it is put into evaluation mode.
@@ -103,8 +102,7 @@ def build_completer(completer: str | Completer) -> Completer:
 
 def _without_strays(points: np.ndarray) -> np.ndarray:
     """Points (n, 3) without the few that lie farthest from their neighbours, which an even thinning would all keep."""
-    gaps, _ = cKDTree(points).query(points, _NEIGHBOURS + 1)  # each point is its own nearest
-    lonely = gaps.mean(1)
+    lonely = spacing(points, _NEIGHBOURS)
     kept: np.ndarray = points[lonely <= np.quantile(lonely, 1.0 - _STRAYS)]
     return kept
 

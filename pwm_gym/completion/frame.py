@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from pwm_gym.errors import PwmGymError
 
@@ -51,8 +52,7 @@ class ViewerFrame:
 
     def turn(self, angle: float) -> ViewerFrame:
         """The same frame, turned by ``angle`` (radians) about the line of sight."""
-        cos, sin = np.cos(angle), np.sin(angle)
-        about = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+        about = Rotation.from_euler("z", angle).as_matrix()
         return ViewerFrame(self.rotation @ about, self.centre, self.size)
 
     def enter(self, points: np.ndarray) -> np.ndarray:

@@ -19,7 +19,7 @@ from pwm_gym.costs import get_cost, get_grasp
 from pwm_gym.dynamics import WorldModel, rollout
 from pwm_gym.planning import MPPIConfig, RolloutObjective, build_planner
 from pwm_gym.planning.adapters import FlatModel
-from pwm_gym.scene import Scene, batch_state
+from pwm_gym.scene import Scene, batch_state, sample_clouds
 from pwm_gym.seeds import seed_range
 from pwm_gym.sensing import RayCaster
 from pwm_gym.tasks import Task
@@ -126,13 +126,13 @@ def perception_times(task: Task, completer: str, scenes: int = 20) -> dict[str, 
     spent: dict[str, list[dict[str, float]]] = {"first": [], "later": []}
     with gym.make(f"pwm/{task.name}Sim-v0") as env:
         twin: Any = env.unwrapped
-        meshes, layout, look = twin.simulator.meshes(), task.layout, None
+        meshes, layout = twin.simulator.meshes(), task.layout
+        clouds = sample_clouds(meshes, layout, task.cloud_seed)
+        look = build_observer(task, layout, meshes, clouds, completer, sensor="d455")
         env.action_space.seed(0)
         for seed in seed_range("plan_validation", scenes):
             env.reset(seed=seed)
             scene = twin.scene()
-            if look is None:
-                look = build_observer(task, layout, meshes, scene.clouds, completer, sensor="d455")
             look.reset(seed)
             spent["first"].append(look(scene).seconds)
             env.step(env.action_space.sample())

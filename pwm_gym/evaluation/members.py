@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -148,27 +148,35 @@ def run_planning_table(
             path = _path(out, task, member, data, chunk, episodes)
             if not path.exists():
                 model = model or _model(member, data, out, get_task(task))
-                result = _plan(model, member, get_task(task), chunk, episodes, path.with_suffix(""))
-                result = {"commit": commit, "threads": torch.get_num_threads(), **result}
+                planned = _plan(model, member, get_task(task), chunk, episodes, path.with_suffix(""))
+                result = {"commit": commit, "threads": torch.get_num_threads(), **planned}
                 write_atomically(path, json.dumps(result, default=float).encode())
             modes[mode] = json.loads(path.read_text())
         config = member.config
-        facts = {"planner": member.planner, "samples": config.samples, "iterations": config.iterations}
-        facts["max_steps"] = member.max_steps
-        rows.append({"row": member.name, "partial": member.partial, **facts, "horizon": config.horizon, "modes": modes})
+        row = {
+            "row": member.name,
+            "partial": member.partial,
+            "planner": member.planner,
+            "samples": config.samples,
+            "iterations": config.iterations,
+            "max_steps": member.max_steps,
+            "horizon": config.horizon,
+            "modes": modes,
+        }
+        rows.append(row)
     return {"caption": table.caption, "rows": rows}
 
 
 def _path(out: Path, task: str, member: Member, data: Path, chunk: int, episodes: int) -> Path:
-    """File of one member's result in one mode, named after all that decides it."""
+    """File of one member's result in one mode, named after all that decides it, so that tables share equal ones."""
     source = str(data)
     if member.kind == "checkpoint":
         source = _digest(resolve(member.source, task))
+    elif member.kind == "row":
+        source = row_folder("rollout", member.source, data, out, task).name
     if member.observation == "completed":
         source += _digest(SHIPPED)
-    if member.kind == "row":
-        source = row_folder("rollout", member.source, data, out, task).name
-    recipe = repr((task, member, source, chunk, episodes, member.config, member.max_steps))
+    recipe = repr((task, replace(member, name=""), source, chunk, episodes, member.config, member.max_steps))
     return out / f"planning-{hashlib.sha256(recipe.encode()).hexdigest()[:12]}.json"
 
 
@@ -192,7 +200,7 @@ def _model(member: Member, data: Path, out: Path, task: Task) -> WorldModel:
 
 def _plan(model: WorldModel, member: Member, task: Task, chunk: int, episodes: int, folder: Path) -> dict[str, Any]:
     """Test seeds of planning in the simulator; failed runs are saved in ``folder``."""
-    from pwm_gym.envs import Sensing  # trainings read this package where environments may not be installed
+    from pwm_gym.envs import Sensing  # trainings import this module, and need no environments
 
     observe: Callable[[Scene], Scene] | None = None
     if member.partial:

@@ -16,6 +16,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from pwm_gym.errors import PwmGymError
+from pwm_gym.scene import spacing
 from pwm_gym.sensing.camera import DepthCamera
 from pwm_gym.sensing.sensor import surface_normals
 
@@ -154,7 +155,7 @@ def inliers(points: np.ndarray, neighbours: int, spread: float) -> np.ndarray:
         neighbours: how many of the nearest count.
         spread: times the median of the mean distances to them; points above it are outliers.
     """
-    distance = _spacing(points, neighbours)
+    distance = spacing(points, neighbours)
     return distance <= spread * np.median(distance) if len(points) else np.zeros(0, bool)
 
 
@@ -168,7 +169,7 @@ def clusters(points: np.ndarray, reach: float, share: float) -> np.ndarray:
     """
     if len(points) < 2:
         return np.ones(len(points), bool)
-    radius = reach * float(np.median(_spacing(points, 4)))
+    radius = reach * float(np.median(spacing(points, 4)))
     pairs = cKDTree(points).query_pairs(radius, output_type="ndarray")
     graph = coo_matrix((np.ones(len(pairs)), pairs.T), (len(points), len(points)))
     _, label = connected_components(graph, directed=False)
@@ -214,11 +215,3 @@ def _reliable(depth: np.ndarray, mask: np.ndarray, camera: DepthCamera, config: 
     if inner.sum() >= config.inside * sharp.sum() and inner.any():
         return inner
     return sharp if sharp.sum() >= config.sharp * measured.sum() else measured
-
-
-def _spacing(points: np.ndarray, neighbours: int) -> np.ndarray:
-    """Mean distance (m,) of each point to its nearest neighbours."""
-    if len(points) < 2:
-        return np.zeros(len(points))
-    distance, _ = cKDTree(points).query(points, k=range(2, min(neighbours, len(points) - 1) + 2))
-    return distance.mean(1)

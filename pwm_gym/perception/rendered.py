@@ -1,4 +1,4 @@
-"""An observer behind a ray-cast camera: true scenes in, what perception makes of a view of them out."""
+"""Ray-cast frames of scenes whose truth is known, and an observer that sees them through such a camera."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import torch
 from pwm_gym.errors import SceneError
 from pwm_gym.perception.frame import Frame
 from pwm_gym.perception.observer import Observation, SceneObserver
-from pwm_gym.scene import Scene
+from pwm_gym.scene import Layout, Scene
 from pwm_gym.scene.se3 import matrix_from_pose7
 from pwm_gym.sensing import DepthCamera, RayCaster
 from pwm_gym.sensing.sensor import get_sensor
@@ -19,7 +19,41 @@ from pwm_gym.sensing.sensor import get_sensor
 if TYPE_CHECKING:
     import trimesh
 
-__all__ = ["RenderedObserver"]
+__all__ = ["FrameRenderer", "RenderedObserver"]
+
+
+class FrameRenderer:
+    """What a depth camera and the robot's encoders tell of a scene.
+
+    Args:
+        meshes: the entities' surfaces, metres, each in its own frame.
+        layout: of the scenes.
+        camera: looks.
+        sensor: registered model of its errors.
+    """
+
+    def __init__(
+        self, meshes: Mapping[str, trimesh.Trimesh], layout: Layout, camera: DepthCamera, sensor: str = "ideal"
+    ) -> None:
+        self.layout, self.camera = layout, camera
+        self._caster, self._sensor = RayCaster(meshes, layout), get_sensor(sensor)
+
+    def __call__(self, truth: Scene, rng: np.random.Generator) -> Frame:
+        """A frame without colour, with the entities' true ids as its segmentation.
+
+        Args:
+            truth: the scene, with joints.
+            rng: draws the sensor's noise.
+
+        Raises:
+            SceneError: the scene has no joints.
+        """
+        if truth.joints is None:
+            raise SceneError("scene.joints is None; an observation needs the robot's joint positions")
+        poses = matrix_from_pose7(torch.as_tensor(truth.poses[0], dtype=torch.float64)).numpy()
+        view = self._caster.view(self.camera, poses)
+        depth = self._sensor.apply(view.depth, self.camera, rng)
+        return Frame(None, depth, self.camera, view.segmentation.astype(np.int64), truth.joints[0])
 
 
 class RenderedObserver:
@@ -27,20 +61,11 @@ class RenderedObserver:
 
     Args:
         observer: estimates the scenes; its segmenter gets the true ids.
-        meshes: the entities' surfaces, which the camera sees.
-        camera: looks.
-        sensor: registered model of its errors.
+        renderer: of what it sees.
     """
 
-    def __init__(
-        self,
-        observer: SceneObserver,
-        meshes: Mapping[str, trimesh.Trimesh],
-        camera: DepthCamera,
-        sensor: str = "ideal",
-    ) -> None:
-        self.observer, self.camera = observer, camera
-        self._caster, self._sensor = RayCaster(meshes, observer.layout), get_sensor(sensor)
+    def __init__(self, observer: SceneObserver, renderer: FrameRenderer) -> None:
+        self.observer, self.renderer = observer, renderer
         self._rng = np.random.default_rng(0)
 
     def reset(self, seed: int) -> None:
@@ -58,10 +83,4 @@ class RenderedObserver:
         Raises:
             SceneError: the scene has no joints, or an object is not seen in the first view.
         """
-        if truth.joints is None:
-            raise SceneError("scene.joints is None; an observation needs the robot's joint positions")
-        poses = matrix_from_pose7(torch.as_tensor(truth.poses[0], dtype=torch.float64)).numpy()
-        view = self._caster.view(self.camera, poses)
-        depth = self._sensor.apply(view.depth, self.camera, self._rng)
-        frame = Frame(None, depth, self.camera, view.segmentation.astype(np.int64), truth.joints[0])
-        return self.observer(frame, truth.goal, truth.last_action, carried)
+        return self.observer(self.renderer(truth, self._rng), truth.goal, truth.last_action, carried)

@@ -1,6 +1,6 @@
 """Entities, canonical clouds, rigid motions and the batched state. Knows nothing of simulators or learning."""
 
-from pwm_gym.scene.cloud import resample_clouds, sample_clouds, sample_surface, spread
+from pwm_gym.scene.cloud import resample_clouds, sample_clouds, sample_surface, spacing, spread
 from pwm_gym.scene.features import POSE_FEATURES, pose_features
 from pwm_gym.scene.layout import Entity, Layout, Slider
 from pwm_gym.scene.scene import Scene, batch_state
@@ -21,6 +21,7 @@ __all__ = [
     "resample_clouds",
     "sample_clouds",
     "sample_surface",
+    "spacing",
     "spread",
     "stack",
 ]

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from pwm_gym.errors import SceneError
 from pwm_gym.scene.layout import Layout
@@ -13,7 +14,7 @@ from pwm_gym.scene.layout import Layout
 if TYPE_CHECKING:
     import trimesh
 
-__all__ = ["resample_clouds", "sample_clouds", "sample_surface", "spread"]
+__all__ = ["resample_clouds", "sample_clouds", "sample_surface", "spacing", "spread"]
 
 _HEIGHT = 5  # of the tree that saves most distances of a few thousand points
 _CANDIDATES = 8  # surface samples per kept point, from which farthest-point sampling chooses
@@ -45,6 +46,14 @@ def sample_clouds(meshes: Mapping[str, trimesh.Trimesh], layout: Layout, seed: i
 def resample_clouds(clouds: np.ndarray, full: Layout, layout: Layout) -> np.ndarray:
     """Coarser canonical points of ``layout`` from those of ``full``: each entity's first points."""
     return np.concatenate([clouds[f.start : f.start + e.points] for f, e in zip(full, layout, strict=True)])
+
+
+def spacing(points: np.ndarray, neighbours: int) -> np.ndarray:
+    """Mean distance (m,) of each point of a cloud (m, 3) to so many nearest others, or to all where there are fewer."""
+    if len(points) < 2:
+        return np.zeros(len(points))
+    distance, _ = cKDTree(points).query(points, k=range(2, min(neighbours, len(points) - 1) + 2))
+    return distance.mean(1)
 
 
 def spread(points: np.ndarray, count: int, rng: np.random.Generator | None = None) -> np.ndarray:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pwm_gym.completion import Completer, build_completer
-from pwm_gym.perception import IdSegmenter, RenderedObserver, SceneObserver
+from pwm_gym.perception import FrameRenderer, IdSegmenter, RenderedObserver, SceneObserver
 from pwm_gym.scene import Layout
 from pwm_gym.sensing import DepthCamera
 from pwm_gym.tasks.cameras import CAMERA, CAMERA_SCALE
@@ -43,4 +43,5 @@ def build_observer(
     """
     made = build_completer(completer)
     observer = SceneObserver(task.name, layout, task.robot(), IdSegmenter(layout), made, clouds=clouds)
-    return RenderedObserver(observer, meshes, camera or CAMERA.resize(CAMERA_SCALE), sensor)
+    renderer = FrameRenderer(meshes, layout, camera or CAMERA.resize(CAMERA_SCALE), sensor)
+    return RenderedObserver(observer, renderer)

@@ -9,7 +9,7 @@ from pwm_gym.errors import PwmGymError, SceneError
 from pwm_gym.scene import Layout, batch_state
 from pwm_gym.sensing import DepthCamera, RayCaster
 from pwm_gym.tasks import get_task
-from pwm_gym.tasks.cameras import CAMERA as CAMERA_OF_TABLES
+from pwm_gym.tasks.cameras import VIEWPOINTS
 
 LAYOUT = Layout.build([("ball", 200), ("box", 200)])
 CAMERA = DepthCamera.looking((1.0, -0.2, 0.8), (0.0, 0.0, 0.1), fov=40.0, width=96, height=64)
@@ -114,9 +114,10 @@ def test_a_view_of_robot_and_object_is_made_in_time(sim):
     sim.reset(seed=300_000)
     simulator = sim.unwrapped.simulator
     caster = RayCaster(simulator.meshes(), get_task("PickCube").layout)
-    assert (CAMERA_OF_TABLES.width, CAMERA_OF_TABLES.height) == (128, 128)
+    camera = VIEWPOINTS["right"]
+    assert (camera.width, camera.height) == (128, 128)
     poses = batch_state([sim.unwrapped.scene()]).poses()[0].numpy()
-    view = caster.view(CAMERA_OF_TABLES, poses)
+    view = caster.view(camera, poses)
     assert {-1, 0, 3} <= set(np.unique(view.segmentation).tolist())
-    seconds = min(timeit.repeat(lambda: caster.view(CAMERA_OF_TABLES, poses), number=1, repeat=10))
+    seconds = min(timeit.repeat(lambda: caster.view(camera, poses), number=1, repeat=10))
     assert seconds < 0.05
