@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from pwm_gym.data import Dataset
+    from pwm_gym.planning import Run
     from pwm_gym.scene import RigidState
     from pwm_gym.tasks import Task
 
@@ -42,9 +46,10 @@ class Evaluate:
     long: int = 0
     """Episodes of 300 steps of expert and random actions in turn, made in the simulator, for long rollouts."""
     pictures: Path | None = None
-    """Folder for pictures (PNG): expected against real errors, and the errors of the long rollouts over time."""
+    """Folder for pictures (PNG): expected against real errors, and the errors of the long rollouts over time; of tables
+    of planning, the failed episodes."""
     table: str | None = None
-    """rollout, baselines, register, horizon, data, head, arm, budget, planning, planners or completed."""
+    """rollout, baselines, register, horizon, data, head, arm, planning, planners or completed."""
     full: bool = False
     """Tables of planning: whether the fast models plan 100 episodes instead of 20."""
     members: tuple[str, ...] = ()
@@ -141,7 +146,8 @@ class Evaluate:
         chosen = look_up("table", name, {**TABLES, **PLANNING_TABLES})
         if isinstance(chosen, PlanningTable):
             prepare_process(self.threads)
-            planning = run_planning_table(chosen, self.data, self.out, self.task, self.full, self.members)
+            draw = None if self.pictures is None else partial(_draw_failures, self.pictures)
+            planning = run_planning_table(chosen, self.data, self.out, self.task, self.full, self.members, draw)
             _print_planning(planning)
             if self.json is not None:
                 write_results(self.json, {"table": name, **planning})
@@ -158,6 +164,24 @@ class Evaluate:
             )
         if self.json is not None:
             write_results(self.json, {"table": name, **table})
+
+
+def _draw_failures(pictures: Path, row: str, mode: str, runs: Sequence[Run]) -> str:
+    """One sheet of failed runs; returns its path in the folder of pictures."""
+    from pwm_gym.commands.view import twin_record
+    from pwm_gym.viewer import draw_overlays
+
+    records = []
+    for run in runs:
+        record = twin_record(run, "")
+        told = f"seed {run.seed}: {run.steps} steps, clouds {1e3 * record.error[-1]:.0f} mm apart at the end"
+        records.append(replace(record, subtitle=told))
+    name = re.sub(r"[^a-z0-9]+", "-", f"{row} {mode}".lower())
+    path = Path("failures") / f"{name}.png"
+    (pictures / path).parent.mkdir(parents=True, exist_ok=True)
+    sheet = draw_overlays(records, f"{row}, {mode}: failed episodes, the world model over the simulator")
+    sheet.save(pictures / path, optimize=True)
+    return str(path)
 
 
 def _print_planning(table: dict[str, Any]) -> None:

@@ -17,11 +17,11 @@ from pwm_gym.data import fit_baseline, load_split
 from pwm_gym.data.partial import PartialView
 from pwm_gym.dynamics import WorldModel, load_checkpoint, resolve
 from pwm_gym.errors import look_up
-from pwm_gym.evaluation.planning import planning_table, run_episodes, save_runs
+from pwm_gym.evaluation.planning import load_runs, planning_table, run_episodes, save_runs
 from pwm_gym.evaluation.record import describe_commit
 from pwm_gym.evaluation.tables import row_folder, trained
 from pwm_gym.files import write_atomically
-from pwm_gym.planning import Agent, SamplingConfig, get_planner_config
+from pwm_gym.planning import Agent, Run, SamplingConfig, get_planner_config
 from pwm_gym.scene import Scene
 from pwm_gym.seeds import seed_range
 from pwm_gym.sim.model import SimulatorModel
@@ -33,7 +33,7 @@ CHUNKS = {"closed loop": 1, "chunks of 20": 20, "chunks of 50": 50, "open loop":
 """Name -> actions between two looks; 0 looks once."""
 
 _EPISODES, _SLOW_EPISODES, _FULL_EPISODES = 20, 5, 100
-_SLOW_SAMPLES = 32
+_SLOW_SAMPLES = 16
 _MAX_STEPS, _SLOW_MAX_STEPS = 100, 50
 
 
@@ -124,6 +124,7 @@ def run_planning_table(
     task: str = "PickCube",
     full: bool = False,
     members: Sequence[str] = (),
+    draw: Callable[[str, str, Sequence[Run]], str] | None = None,
 ) -> dict[str, Any]:
     """Plan with every member in every mode; what is there already is kept.
 
@@ -134,6 +135,7 @@ def run_planning_table(
         task: registered task.
         full: whether the fast members plan 100 episodes instead of 20.
         members: names of rows; none given takes all.
+        draw: draws the failed runs of a row in a mode, and returns the picture's name; None draws none.
 
     Raises:
         UnknownNameError: the table has no such member.
@@ -152,6 +154,9 @@ def run_planning_table(
                 result = {"commit": commit, "threads": torch.get_num_threads(), **planned}
                 write_atomically(path, json.dumps(result, default=float).encode())
             modes[mode] = json.loads(path.read_text())
+            if draw is not None and modes[mode]["failed_seeds"]:
+                failed = load_runs(modes[mode]["failed_seeds"], path.with_suffix(""))
+                modes[mode]["picture"] = draw(member.name, mode, failed)
         config = member.config
         row = {
             "row": member.name,

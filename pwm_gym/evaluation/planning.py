@@ -14,7 +14,7 @@ from tqdm import tqdm
 from pwm_gym.planning import Agent, Run, execute
 from pwm_gym.scene import Scene
 
-__all__ = ["planning_table", "run_episodes", "save_runs", "wilson"]
+__all__ = ["load_runs", "planning_table", "run_episodes", "save_runs", "wilson"]
 
 
 def run_episodes(
@@ -41,6 +41,15 @@ def save_runs(runs: Sequence[Run], folder: Path) -> None:
     """Write a record of each run to ``folder`` as ``seed-N.npz``."""
     for run in runs:
         run.save(folder / f"seed-{run.seed}.npz")
+
+
+def load_runs(seeds: Sequence[int], folder: Path) -> list[Run]:
+    """The records of ``seeds`` that :func:`save_runs` wrote to ``folder``.
+
+    Raises:
+        PwmGymError: one is missing, truncated or not a run.
+    """
+    return [Run.load(folder / f"seed-{seed}.npz") for seed in seeds]
 
 
 def wilson(successes: int, trials: int, z: float = 1.96) -> tuple[float, float]:

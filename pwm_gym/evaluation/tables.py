@@ -104,13 +104,6 @@ TABLES: dict[str, Table] = {
             Row("ParticleFormer*", "particleformer", {}, "partial", _HYBRID, paper="0.132 / 0.41"),
         ),
     ),
-    "budget": Table(
-        "How long a network of points is trained",
-        (
-            Row("3DPWM, paper-small", "paper-small", {}, training=_LONG),
-            Row("twice as long", "paper-small", {}, training=_budget(2 * _HEADLINE, 32, *_STEPPED, **_POINTS)),
-        ),
-    ),
     "register": Table(
         "Register tokens (paper, Table 2)",
         tuple(

@@ -16,7 +16,7 @@ from pwm_gym.viewer.chart import AXIS, INK, MUTED, Chart, Curve, fit, swatch, te
 from pwm_gym.viewer.palette import GOAL, PREDICTED, TRUE, Color, entity_colors
 from pwm_gym.viewer.splat import render
 
-__all__ = ["TwinRecord", "twin_frame", "write_gif", "write_png"]
+__all__ = ["TwinRecord", "Views", "twin_frame", "write_gif", "write_png"]
 
 _PAPER: Color = (255, 255, 255)
 _MARGIN, _GAP, _HEADER, _CAPTION, _CHART = 28, 16, 76, 30, 190  # pixels
@@ -157,7 +157,7 @@ class _Figure:
         if panel < _MIN_PANEL:
             raise PwmGymError(f"panel={panel} pixels; expected at least {_MIN_PANEL}")
         self.record, self.panel = record, panel
-        self.views = _Views(record, panel)
+        self.views = Views(record, panel)
         self.width = 2 * _MARGIN + 3 * panel + 2 * _GAP
         self.top = _HEADER + _CAPTION
         below = self.top + panel + _GAP
@@ -197,7 +197,7 @@ class _Figure:
             swatch(self.still, (end - used - 18, self.top - 16), GOAL)
 
 
-class _Views:
+class Views:
     """The three renderings of an episode: predicted (0), true (1), both (2)."""
 
     def __init__(self, record: TwinRecord, size: int) -> None:
@@ -209,7 +209,7 @@ class _Views:
         self.nudge = side[:, None] * self.camera.axes[2]
 
     def draw(self, which: int, t: int) -> Image.Image:
-        """One view of step ``t``."""
+        """One view (0 predicted, 1 true, 2 both) of step ``t``."""
         worlds = [np.asarray(self.record.predicted[t]), np.asarray(self.record.true[t])]
         if which < 2:
             cloud, colors, radius = worlds[which], self.colors[which], 0.0055
@@ -259,7 +259,7 @@ def _contact_sheet(record: TwinRecord, steps: list[int], panel: int) -> Image.Im
     below = top + 3 * (panel + gap) + 6
     image = Image.new("RGB", (width, below + _CHART + 8), _PAPER)
     _heading(image, record)
-    views, mask = _Views(record, panel), _rounded(panel)
+    views, mask = Views(record, panel), _rounded(panel)
     for row in range(3):
         label = Image.new("RGB", (panel, 24), _PAPER)
         text(label, (panel / 2, 12), _TITLES[row], 14, INK, "mm")

@@ -1,11 +1,14 @@
 import json
 from dataclasses import replace
+from functools import partial
 
 import gymnasium
 import numpy as np
 import pytest
 import torch
+from PIL import Image
 
+from pwm_gym.commands.evaluate import _draw_failures
 from pwm_gym.data.partial import PARTIAL_POINTS, PartialView
 from pwm_gym.dynamics import rollout
 from pwm_gym.envs import Sensing
@@ -44,9 +47,16 @@ def test_a_table_tells_every_mode_and_keeps_what_is_there(quick, data_folder, tm
     assert all(mode["episodes"] == 1 and mode["runs"][0]["steps"] == 2 for mode in row["modes"].values())
     failed = [Run.load(p) for p in tmp_path.rglob("seed-*.npz")]
     assert sorted(run.chunk for run in failed) == [0, 1]
+    assert "picture" not in row["modes"]["open loop"]
     monkeypatch.setattr(table, "_model", None)  # nothing is to be run
     assert run_planning_table(TABLE, data_folder, tmp_path) == first
     json.dumps(first)
+    drawn = run_planning_table(TABLE, data_folder, tmp_path, draw=partial(_draw_failures, tmp_path / "pictures"))
+    names = [mode["picture"] for mode in drawn["rows"][0]["modes"].values()]
+    assert names == ["failures/linear-closed-loop.png", "failures/linear-open-loop.png"]
+    for name in names:
+        with Image.open(tmp_path / "pictures" / name) as sheet:
+            assert sheet.width > 500 and sheet.height > 150
 
 
 def test_other_settings_are_another_piece(quick, data_folder, tmp_path, monkeypatch):
@@ -95,7 +105,7 @@ def test_a_piece_is_named_after_all_that_decides_it(tmp_path, monkeypatch):
 
     row, shipped = Member("x", "row", "3DPWM, paper-small"), Member("x", "checkpoint", "default")
     before = name(row)
-    assert name(shipped) != name(replace(shipped, planner="cem"))
+    assert name(shipped) != name(replace(shipped, planner="cem")) and name(shipped) == name(replace(shipped, name="y"))
     assert name(BASELINE) != name(BASELINE, "b") and name(shipped) == name(shipped, "b")
     rows = [replace(r, episodes=7) for r in TABLES["rollout"].rows]
     monkeypatch.setitem(TABLES, "rollout", replace(TABLES["rollout"], rows=tuple(rows)))
