@@ -145,7 +145,7 @@ def run_planning_table(
         model: WorldModel | None = None
         modes = {}
         for mode in table.modes:
-            chunk = CHUNKS[mode]
+            chunk = CHUNKS[mode] if CHUNKS[mode] < member.max_steps else 0  # never looks again
             episodes = _SLOW_EPISODES if member.slow else _FULL_EPISODES if full else _EPISODES
             path = _path(out, task, member, data, chunk, episodes)
             if not path.exists():

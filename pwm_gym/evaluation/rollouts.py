@@ -88,12 +88,12 @@ def predict(
     joints = torch.stack([_joints(e, horizon) for e in episodes])  # (M, H + 3, 2, J)
     actions = torch.stack([_actions(e, horizon) for e in episodes])
     begin = start or observed_start(dataset)
-    chunks = []
+    chunks, order = [], np.argsort(lengths, kind="stable")  # so that few steps are rolled past an episode's end
     for k in range(0, len(episodes), _CHUNK):
-        part = slice(k, k + _CHUNK)
+        part = torch.as_tensor(order[k : k + _CHUNK])
         oracle = (frames[part, 3:], joints[part, 3:]) if oracle_effector else None
-        chunks.append(_roll(model, begin[part], actions[part], oracle))
-    states = _joined(chunks)
+        chunks.append(_roll(model, begin[part], actions[part], oracle, int(lengths[part].max())))
+    states = _joined(chunks)[torch.as_tensor(np.argsort(order))]
     poses = states.poses()
     third = frames[:, OBSERVED - 1]
     if not torch.equal(begin.poses(), third):
@@ -153,17 +153,22 @@ def _actions(episode: Episode, horizon: int) -> Tensor:
     return torch.as_tensor(episode.actions[index])
 
 
-def _roll(model: WorldModel, start: RigidState, actions: Tensor, oracle: tuple[Tensor, Tensor] | None) -> State:
-    """States (B, H); the effector's true poses (B, H, E, 4, 4) and joints (B, H, 2, J) overwrite the predicted ones."""
+def _roll(
+    model: WorldModel, start: RigidState, actions: Tensor, oracle: tuple[Tensor, Tensor] | None, steps: int
+) -> State:
+    """States (B, H), after so many ``steps`` the last one.
+
+    The effector's true poses (B, H, E, 4, 4) and joints (B, H, 2, J) overwrite the predicted ones.
+    """
     links = torch.tensor([e.effector for e in start.layout])
     state: State = model.prepare(start)
     states = []
-    for h in range(actions.shape[1]):
+    for h in range(steps):
         state = model.step(state, actions[:, h])
         if oracle is not None:
             state = _overwrite(state, oracle[0][:, h], oracle[1][:, h], links)
         states.append(state)
-    return stack(states, 1)
+    return stack(states + states[-1:] * (actions.shape[1] - steps), 1)
 
 
 def _overwrite(state: State, truth: Tensor, joints: Tensor, links: Tensor) -> State:
