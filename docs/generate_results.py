@@ -27,6 +27,13 @@ Written by `python docs/generate_results.py` from the JSON files in `benchmarks/
 command, machine, commit and date. Errors are of open-loop rollouts of the test split: a model observes three clouds,
 then predicts the rest of the episode under its actions. The paper's own figures stand in columns marked "paper, other
 data": its episodes, objects and simulator differ, so that they show the order of magnitude and nothing more.
+
+The data, of which the second has the first's validation and test episodes:
+
+```
+pwm-gym collect --episodes 3000 --out data-sets/PickCube
+pwm-gym collect --episodes 1000 --held-out 300 --out data-sets/PickCube-1000
+```
 """
 _LIMITS = """## What these figures do not show
 
