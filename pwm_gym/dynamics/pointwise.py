@@ -22,7 +22,8 @@ class PointwiseConfig:
     rigid: bool = False
     """Whether each entity moves as the rigid body that fits its points' predicted motion best (not in the paper)."""
     points: int = 0
-    """Points of each entity that a rigid model reads, its cloud's first; 0 reads all."""
+    """Points of each entity, its cloud's first, that a rigid model reads, and that any is trained on; 0 is all. A model
+    that is not rigid moves all the points it is given, as well as it can where they are more than it was trained on."""
     entity_features: bool = False
     """Whether a point's features tell its entity (one-hot; ParticleFormer's instance segmentation)."""
     position_scale: float = 0.1

@@ -80,7 +80,7 @@ class TrainConfig(LoopConfig):
     object_weight: float = 2.0
     """Weight of the points of entities that the robot does not drive."""
     loss_points: int = 32
-    """Points of each entity in the loss (a model that moves points always uses all of its own)."""
+    """Points of each entity in the loss (a model that reads points of them always gets as many)."""
 
     def __post_init__(self) -> None:
         """Raise :class:`UnknownNameError` for an optimiser, a schedule or a loss that is none."""
@@ -118,9 +118,12 @@ class _RolloutLoss(nn.Module):
 
 def rollout_loss(model: WorldModel, batch: Batch, config: TrainConfig) -> Tensor:
     """Mean loss over H predicted steps, in ``loss_scale`` units; ``config.loss`` says which."""
-    state: State = model.prepare(batch.state())
+    given, few = batch.state(), batch.layout.truncate(_points_in_loss(model, config))
+    state: State = model.prepare(given)
     if isinstance(state, RigidState):
-        state = state.coarsen(state.layout.truncate(_points_in_loss(model, config)))
+        state = state.coarsen(few)
+    elif few.points < batch.layout.points:
+        state = model.prepare(given.coarsen(few))
     target = RigidState(state.layout, state.clouds, batch.frames)
     weight = _point_weights(state.layout, config.object_weight, batch.frames.device)
     terms: list[Tensor] = []

@@ -315,3 +315,13 @@ def test_two_processes_share_the_work(data_folder, tmp_path):
     checkpoint = load_checkpoint(tmp_path / "checkpoint", "PickCube")
     assert all(p.isfinite().all() for p in checkpoint.model.parameters())
     assert torch.load(tmp_path / "training-state.pt", weights_only=True)["step"] == 6
+
+
+@pytest.mark.parametrize(("points", "rows"), [(0, LAYOUT.points), (6, 24)])
+def test_a_model_of_points_is_trained_on_as_many_as_it_says(windows, monkeypatch, points, rows):
+    model = build_model("gbnd", LAYOUT, 7, CONTROL, {"width": 8, "neighbours": 3, "points": points})
+    seen, network = [], model.network
+    monkeypatch.setattr(model, "network", lambda *a: seen.append(a[0].shape[1]) or network(*a))
+    batch = windows.sample(torch.Generator().manual_seed(0), 2, 2)
+    assert rollout_loss(model, batch, TrainConfig(loss_points=4)).isfinite()
+    assert seen == [rows, rows]
