@@ -47,9 +47,12 @@ class SimulatorModel:
 
     def rollout(self, state: State, actions: Tensor) -> RigidState:
         """States (B, H) from ``state`` (B,) under ``actions`` (B, H, A)."""
-        start = self.prepare(state)
-        futures: list[State] = [self._follow(start[b], actions[b].detach().cpu().numpy()) for b in range(len(actions))]
-        joined: RigidState = stack(futures, 0)  # type: ignore[assignment]
+        # The simulator's own tensors live on: made in a planner's inference mode, they could not be changed outside it.
+        with torch.inference_mode(False), torch.no_grad():
+            start = self.prepare(state)
+            commands = actions.detach().cpu().numpy()
+            futures: list[State] = [self._follow(start[b], commands[b]) for b in range(len(commands))]
+            joined: RigidState = stack(futures, 0)  # type: ignore[assignment]
         return joined
 
     def _follow(self, state: RigidState, actions: np.ndarray) -> RigidState:

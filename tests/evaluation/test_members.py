@@ -16,7 +16,7 @@ from pwm_gym.errors import UnknownNameError
 from pwm_gym.evaluation import TABLES
 from pwm_gym.evaluation import members as table
 from pwm_gym.evaluation.members import PLANNING_TABLES, Member, PlanningTable, run_planning_table
-from pwm_gym.planning import CEMConfig, MPPIConfig, Run
+from pwm_gym.planning import Agent, CEMConfig, MPPIConfig, Run, execute
 from pwm_gym.scene import batch_state
 from pwm_gym.sim.model import SimulatorModel
 from pwm_gym.tasks import get_task
@@ -127,6 +127,13 @@ def test_the_simulator_as_a_model_is_the_simulator(sim, random_actions):
         truth = batch_state([sim.unwrapped.scene()])
         assert (states[:, -1].poses()[b] - truth.poses()[0]).abs().max() < 1e-3
         assert (states[:, -1].joints[b] - truth.joints[0]).abs().max() < 1e-3
+
+
+def test_the_simulator_is_planned_in_and_advanced(sim):
+    """Planning runs in inference mode, what follows does not."""
+    model = SimulatorModel(TASK.simulator(), TASK.layout, TASK.name, TASK.goal_size)
+    run = execute(sim, Agent(model, TASK.name, MPPIConfig(samples=4, elites=2, horizon=2)), 300_000, 3)
+    np.testing.assert_allclose(run.predicted, run.poses[1:], atol=1e-3)
 
 
 def test_a_partial_view_shows_what_faces_the_camera(sim):
