@@ -47,8 +47,8 @@ _LIMITS = """## What these figures do not show
   model (0.003); the paper trains by AdamW alone.
 - Training, validation and test differ by seeds alone. Actions are a script's and uniform noise; a planner's own actions
   are seen only in the planning figures.
-- Planning success is of seeded episodes of one task; where there are twenty or fewer, the intervals are wide. Slow models
-  are planned in with few samples and steps, which are the bound for the simulator itself; compare them with each other.
+- Planning success is of seeded episodes of one task; where there are twenty or fewer, the intervals are wide.
+  Slow models are planned in with few samples and steps, which bound the simulator itself: compare them with each other.
 - Trainings of the tables are far shorter than the paper's, and as long for every row of a table in sample-steps, not in
   minutes: a network of points takes many times longer a step than one of entities. What a network of points loses by
   partial clouds is a factor of two here and of nine in the paper, whose training is longer.
