@@ -206,24 +206,14 @@ def _planning(name: str, title: str = "") -> str:
 
 
 def _failures(rows: list[dict[str, Any]]) -> str:
-    """Every failed seed, with the sheet of the row's failures, or its own picture (``pwm-gym view``)."""
+    """Every failed seed, with the sheet of the row's failures where one is drawn."""
     lines = []
     for row in rows:
         for mode, outcome in row["modes"].items():
-            if not outcome["failed_seeds"]:
-                continue
-            if sheet := outcome.get("picture"):
-                seeds = f"[{', '.join(map(str, outcome['failed_seeds']))}](images/{sheet})"
-            else:
-                seeds = ", ".join(_own_picture(row["row"], mode, seed) for seed in outcome["failed_seeds"])
-            lines.append(f"- {row['row']}, {mode}: {seeds}")
+            seeds, sheet = ", ".join(map(str, outcome["failed_seeds"])), outcome.get("picture")
+            if seeds:
+                lines.append(f"- {row['row']}, {mode}: {f'[{seeds}](images/{sheet})' if sheet else seeds}")
     return "\nFailed seeds:\n\n" + "\n".join(lines) + "\n" if lines else ""
-
-
-def _own_picture(row: str, mode: str, seed: int) -> str:
-    picture = f"images/failures/{mode.replace(' ', '-')}-{seed}.png"
-    drawn = row.startswith("compact") and (PAGE.parent / picture).exists()
-    return f"[{seed}]({picture})" if drawn else str(seed)
 
 
 def _completion() -> str:

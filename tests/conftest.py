@@ -1,5 +1,7 @@
 """Fixtures that all tests share. One thread: the suites of several processes then do not fight for cores."""
 
+from dataclasses import replace
+
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -104,3 +106,15 @@ def data_folder(data_config):
 def train_split(data_folder):
     """Training episodes of the small data set."""
     return load_split(data_folder, "train")
+
+
+@pytest.fixture(scope="session")
+def cut():
+    """``cut(episode, steps)``: the episode's first steps."""
+
+    def first(episode, steps):
+        frames = {n: getattr(episode, n)[: steps + 1] for n in ("poses", "joints")}
+        rest = {n: getattr(episode, n)[:steps] for n in ("actions", "rewards", "success", "grasped")}
+        return replace(episode, **frames, **rest)
+
+    return first

@@ -1,6 +1,5 @@
 import json
 import shutil
-from dataclasses import replace
 
 import pytest
 
@@ -134,7 +133,7 @@ def test_check_cost_of_a_missing_file():
 
 
 @pytest.fixture
-def short_episodes(data_folder, tmp_path):
+def short_episodes(data_folder, cut, tmp_path):
     """The small data set with test episodes of 12 steps."""
     folder = tmp_path / "short"
     shutil.copytree(data_folder, folder)
@@ -142,12 +141,6 @@ def short_episodes(data_folder, tmp_path):
         header = {"format": "pwm_gym.episodes", "schema": 1, "task": "PickCube"}
         write_shard(path, [cut(e, 12) for e in read_shard(path)], header)
     return folder
-
-
-def cut(episode, steps):
-    frames = {n: getattr(episode, n)[: steps + 1] for n in ("poses", "joints")}
-    rest = {n: getattr(episode, n)[:steps] for n in ("actions", "rewards", "success", "grasped")}
-    return replace(episode, **frames, **rest)
 
 
 def test_evaluate_writes_its_table(short_episodes, tmp_path, capsys):

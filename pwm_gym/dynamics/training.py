@@ -118,12 +118,8 @@ class _RolloutLoss(nn.Module):
 
 def rollout_loss(model: WorldModel, batch: Batch, config: TrainConfig) -> Tensor:
     """Mean loss over H predicted steps, in ``loss_scale`` units; ``config.loss`` says which."""
-    given, few = batch.state(), batch.layout.truncate(_points_in_loss(model, config))
-    state: State = model.prepare(given)
-    if isinstance(state, RigidState):
-        state = state.coarsen(few)
-    elif few.points < batch.layout.points:
-        state = model.prepare(given.coarsen(few))
+    few = batch.layout.truncate(_points_in_loss(model, config))
+    state: State = model.prepare(batch.state().coarsen(few))
     target = RigidState(state.layout, state.clouds, batch.frames)
     weight = _point_weights(state.layout, config.object_weight, batch.frames.device)
     terms: list[Tensor] = []

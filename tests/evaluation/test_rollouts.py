@@ -63,23 +63,17 @@ def test_the_model_gets_the_actions_that_were_made(dataset):
         np.testing.assert_array_equal(given, episode.actions[2:])
 
 
-def test_the_order_of_the_episodes_is_kept(dataset, monkeypatch):
+def test_the_order_of_the_episodes_is_kept(dataset, cut, monkeypatch):
     """They are rolled out by their length, each batch as far as its longest one."""
-    cut = [cut_short(e, n) for e, n in zip(dataset.episodes, (9, 5, 12, 7), strict=True)]
+    episodes = [cut(e, n) for e, n in zip(dataset.episodes, (9, 5, 12, 7), strict=True)]
     steps, model = [], build_model("commanded", TASK.layout, TASK.action_size, TASK.control)
     monkeypatch.setattr(model, "step", lambda *a, step=model.step: steps.append(len(a[1])) or step(*a))
     monkeypatch.setattr("pwm_gym.evaluation.rollouts._CHUNK", 2)
-    there, back = (predict(model, replace(dataset, episodes=tuple(e))) for e in (cut, cut[::-1]))
+    there, back = (predict(model, replace(dataset, episodes=tuple(e))) for e in (episodes, episodes[::-1]))
     assert there.lengths.tolist() == [7, 3, 10, 5] and steps == [2] * (5 + 10) * 2
     torch.testing.assert_close(there.poses, back.poses.flip(0))
     monkeypatch.setattr("pwm_gym.evaluation.rollouts._CHUNK", 128)
-    torch.testing.assert_close(predict(model, replace(dataset, episodes=tuple(cut))).poses[2], there.poses[2])
-
-
-def cut_short(episode, steps):
-    frames = {n: getattr(episode, n)[: steps + 1] for n in ("poses", "joints")}
-    rest = {n: getattr(episode, n)[:steps] for n in ("actions", "rewards", "success", "grasped")}
-    return replace(episode, **frames, **rest)
+    torch.testing.assert_close(predict(model, replace(dataset, episodes=tuple(episodes))).poses[2], there.poses[2])
 
 
 @pytest.mark.parametrize("form", [lambda s: s, PointState.of], ids=["rigid", "points"])
