@@ -56,11 +56,16 @@ def observe(state: State, goal: Tensor) -> dict[str, Tensor]:
     """Observations (B, ...) of a state (B,), clipped to the observation space; fresh tensors."""
     now, before, earlier = (state.points(k) for k in range(3))
     return {
-        "points": now.clamp(-BOUND, BOUND),
-        "velocity": (now - before).clamp_(-_SPEED, _SPEED),
-        "previous_velocity": (before - earlier).clamp_(-_SPEED, _SPEED),
-        "goal": goal.clamp(-BOUND, BOUND),
+        "points": _clipped(now, BOUND),
+        "velocity": _clipped(now - before, _SPEED),
+        "previous_velocity": _clipped(before - earlier, _SPEED),
+        "goal": _clipped(goal, BOUND),
     }
+
+
+def _clipped(value: Tensor, bound: float) -> Tensor:
+    """A contiguous copy within [-bound, bound]."""
+    return torch.clamp(value, -bound, bound, out=torch.empty_like(value, memory_format=torch.contiguous_format))
 
 
 def outside(state: State) -> Tensor:

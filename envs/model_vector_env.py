@@ -284,10 +284,10 @@ class ModelVectorEnv(EzPickle, gym.vector.VectorEnv[dict[str, np.ndarray], np.nd
         return self._out(observe(self.state, self._goal)), {**fresh, **final}
 
     def _out(self, value: Any) -> Any:
-        """Fresh arrays (or tensors) for the caller."""
+        """Arrays (or tensors) for the caller, who alone holds ``value``."""
         if isinstance(value, dict):
             return {k: self._out(v) for k, v in value.items()}
-        return value if self._tensors else value.cpu().numpy().copy()
+        return value if self._tensors else value.cpu().numpy()
 
     def _info(self, judgement: Judgement, reasons: list[str]) -> dict[str, Any]:
         """Gymnasium's vector infos: arrays (num_envs,), each with its mask ``_key``."""

@@ -73,7 +73,7 @@ def finger_gaps(points: Points, name: str) -> Tensor:
     Zero: touching. Slightly negative: pressing. More: the finger is past that side, beside or above the object.
     """
     axis = _fingers_axis(points)
-    along = (points[name] @ axis).squeeze(-1)
+    along = _along(points[name], axis)
     return _gaps(points, axis, along.amin(-1), along.amax(-1))
 
 
@@ -89,20 +89,20 @@ def pad_gaps(points: Points, name: str) -> Tensor:
     forward = (forward / forward.norm(dim=-1, keepdim=True).clamp_min(1e-6)).unsqueeze(-1)
     sideways = torch.cross(axis, forward, dim=-2)
     offset = object_points - tool.unsqueeze(-2)
-    between = ((offset @ sideways).abs() <= _PAD_HALF_WIDTH) & (offset @ forward <= _PAD_END)
-    along, between = (object_points @ axis).squeeze(-1), between.squeeze(-1)
+    between = (_along(offset, sideways).abs() <= _PAD_HALF_WIDTH) & (_along(offset, forward) <= _PAD_END)
+    along = _along(object_points, axis)
     return _gaps(points, axis, along.where(between, 1e3).amin(-1), along.where(between, -1e3).amax(-1))
 
 
 def _gaps(points: Points, axis: Tensor, lowest: Tensor, highest: Tensor) -> Tensor:
     """Gaps (B, 2) of both fingers to what reaches from ``lowest`` to ``highest`` (B,) along their axis (B, 3, 1)."""
-    left, right = ((points[finger] @ axis).squeeze(-1) for finger in ("left_gripper", "right_gripper"))
+    left, right = (_along(points[finger], axis) for finger in ("left_gripper", "right_gripper"))
     return torch.stack([left.amin(-1) - highest, lowest - right.amax(-1)], -1)
 
 
 def width_between(points: Points, name: str) -> Tensor:
     """Extent (B,) of an object along the fingers' axis: what the fingers have to span."""
-    along = (points[name] @ _fingers_axis(points)).squeeze(-1)
+    along = _along(points[name], _fingers_axis(points))
     return along.amax(-1) - along.amin(-1)
 
 
@@ -111,6 +111,11 @@ def _fingers_axis(points: Points) -> Tensor:
     """Unit vector (B, 3, 1) from the right finger's centre to the left one's."""
     axis = centre(points, "left_gripper") - centre(points, "right_gripper")
     return (axis / axis.norm(dim=-1, keepdim=True).clamp_min(1e-6)).unsqueeze(-1)
+
+
+def _along(points: Tensor, axis: Tensor) -> Tensor:
+    """Coordinates (B, n) of points (B, n, 3) along an axis (B, 3, 1)."""
+    return (axis.transpose(-1, -2) @ points.transpose(-1, -2)).squeeze(-2)
 
 
 def near_and_shut(points: Points, action: Tensor, name: str) -> Tensor:

@@ -29,7 +29,7 @@ from pwm_gym.dynamics.uncertainty import ErrorHead
 from pwm_gym.errors import PwmGymError
 from pwm_gym.robots import Control
 from pwm_gym.scene import Layout, RigidState, State
-from pwm_gym.scene.se3 import make_pose, rotation_from_vector
+from pwm_gym.scene.se3 import make_pose, rotation_from_vector, transform
 
 __all__ = ["CompactConfig", "CompactModel"]
 
@@ -76,8 +76,10 @@ class _Outlook:
     """Sliding links' openings (B, 3, S)."""
     slide: Tensor
     """Their linear response (B, S)."""
+    root: Tensor
+    """The root link's pose (B, 4, 4) by its fitted response."""
     twist: Tensor
-    """The root link's fitted response (B, 6), world frame."""
+    """Its way there (B, 6), world frame."""
     arm: ArmOutlook | None = None
 
 
@@ -106,8 +108,10 @@ class CompactModel(nn.Module):
         self.response = LinearResponse(layout, action_size)
         effector = self.response.effector
         c, sliders = self.config, len(effector.sliding)
-        context = 7 + 18 + 4 * sliders  # see _context
-        self.token = nn.Linear(24 + context, c.width)
+        self.token = nn.Linear(24 + 7 + 18 + 4 * sliders, c.width)  # see _entities
+        units = torch.tensor([_TRANSLATION, _ROTATION, _TRANSLATION, _ROTATION]).unsqueeze(-1)
+        self.motion_units: Tensor
+        self.register_buffer("motion_units", units, persistent=False)  # (4, 1)
         self.kind = nn.Parameter(0.02 * torch.randn(len(layout), c.width))
         self.action = nn.Sequential(nn.Linear(action_size, c.width), nn.GELU(), nn.Linear(c.width, c.width))
         self.register = nn.Parameter(0.02 * torch.randn(c.registers, c.width))
@@ -150,28 +154,27 @@ class CompactModel(nn.Module):
     def step_with_tokens(self, state: State, action: Tensor) -> tuple[RigidState, Tensor]:
         """The same, and the entity tokens (B, E, C) that its motions were decoded from."""
         assert isinstance(state, RigidState)
-        outlook = self._foresee(state, action)
-        tokens = self._tokens(state, outlook, action)  # (B, E, C)
+        outlook, moves = self._foresee(state, action), twists(state.frames.transpose(1, 2))  # (B, E, 2, 6)
+        tokens = self._tokens(state, moves, outlook, action)  # (B, E, C)
         root, joints = self._root(state, outlook, tokens, action)
         error = None
         if self.error is not None and state.error is not None:
             error = state.error + self.error(tokens)
-        return state.advance(self._move(state, outlook, root, self.head(tokens)), joints, error), tokens
+        return state.advance(self._move(state, moves, outlook, root, self.head(tokens)), joints, error), tokens
 
     def _foresee(self, state: RigidState, action: Tensor) -> _Outlook:
-        openings = self.response.effector.openings(state.frames)
+        openings, now = self.response.effector.openings(state.frames), self._roots(state.frames)[:, 0]
         if self.arm is None:
             step, slide = self.response(state.frames, openings, action)
-            return _Outlook(openings, slide, step)
+            return _Outlook(openings, slide, _moved(now, step), step)
         assert state.joints is not None, "prepare() the state first"
-        now = self._roots(state.frames)[:, 0]
         arm = self.arm(state.joints, action, now)
-        step = twist(now, self.arm.kinematics(state.joints[:, 0] + arm.step[:, 0]))
-        return _Outlook(openings, self.response.slide(openings, action), step, arm)
+        root = self.arm.kinematics(state.joints[:, 0] + arm.step[:, 0])
+        return _Outlook(openings, self.response.slide(openings, action), root, twist(now, root), arm)
 
-    def _tokens(self, state: RigidState, outlook: _Outlook, action: Tensor) -> Tensor:
+    def _tokens(self, state: RigidState, moves: Tensor, outlook: _Outlook, action: Tensor) -> Tensor:
         """Entity tokens (B, E, C) after attention over [entities, action, registers]."""
-        entities = self._entities(state.frames, self._context(state.frames, outlook))
+        entities = self._entities(state.frames, moves, outlook)
         entities = entities + self.contact(state, *self._links(state, outlook))
         if outlook.arm is not None:
             entities = entities + self.arm_place * self.arm_token(outlook.arm.features).unsqueeze(1)
@@ -203,9 +206,8 @@ class CompactModel(nn.Module):
         """Poses (B, 1 + S, 4, 4) of the root link and the sliding links, now and as foreseen."""
         effector = self.response.effector
         now = state.poses()[:, [effector.root, *effector.sliding]]
-        root = _moved(now[:, 0], outlook.twist)
         openings = effector.limit(outlook.openings[:, 0] + outlook.slide)
-        return now, torch.cat([root.unsqueeze(1), effector.links(root, openings)], 1)
+        return now, torch.cat([outlook.root.unsqueeze(1), effector.links(outlook.root, openings)], 1)
 
     def _roots(self, frames: Tensor) -> Tensor:
         """Poses (B, 3, 4, 4) of the root link."""
@@ -219,50 +221,49 @@ class CompactModel(nn.Module):
             start = b
         return torch.cat([*parts, action[:, start:]], 1)
 
-    def _context(self, frames: Tensor, outlook: _Outlook) -> Tensor:
-        """What every token knows (B, K): base and vertical as the end effector sees them, and its motion."""
-        root, openings = self._roots(frames), outlook.openings
-        turn = root[:, 0, :3, :3].unsqueeze(1)  # row vectors times it are in the end effector's frame
-        origin, up = root[:, 0, :3, 3], root[:, 0, 2, :3]
-        motion = torch.cat([twists(root), outlook.twist.unsqueeze(1)], 1)  # (B, 3, 6): t, t-1, fitted t+1
-        linear = motion[..., None, :3] @ turn / _TRANSLATION
-        angular = motion[..., None, 3:] @ turn / _ROTATION
-        speeds = (openings[:, :2] - openings[:, 1:]).flatten(1) / _OPENING
-        seen = (origin.unsqueeze(1) @ turn.squeeze(1)).squeeze(1)
-        return torch.cat(
+    def _entities(self, frames: Tensor, moves: Tensor, outlook: _Outlook) -> Tensor:
+        """Entity tokens (B, E, C) of poses (B, 3, E, 4, 4) and motions (B, E, 2, 6) as the end effector sees them.
+
+        Each knows its own pose and motion, where base and vertical are, and how the end effector moves.
+        """
+        count, root, now = len(self.layout), self.response.effector.root, frames[:, 0]
+        origin = now[:, root, :3, 3]
+        rows = [  # vectors in the world frame: one product takes them to the end effector's
+            now[..., :3, :3].transpose(-1, -2).flatten(1, 2),
+            now[..., :3, 3] - origin.unsqueeze(1),
+            origin.unsqueeze(1),
+            moves.view(len(frames), -1, 3),
+            outlook.twist.view(-1, 2, 3),
+        ]
+        seen = torch.cat(rows, 1) @ now[:, root, :3, :3]
+        axes, offset, base, motion, ahead = seen.split([3 * count, count, 1, 4 * count, 2], 1)
+        motion = motion.unflatten(1, (count, 4)) / self.motion_units  # (B, E, 4, 3): at t and t-1, way and turn
+        ahead = ahead / self.motion_units[:2]
+        openings, own = outlook.openings, motion[:, root]
+        shared = torch.cat(
             [
-                seen / _LENGTH,
-                up,
+                base.squeeze(1) / _LENGTH,
+                now[:, root, 2, :3],
                 origin[:, 2:] / _LENGTH,
-                linear.flatten(1),
-                angular.flatten(1),
+                torch.stack([own[:, 0], own[:, 2], ahead[:, 0], own[:, 1], own[:, 3], ahead[:, 1]], 1).flatten(1),
                 openings[:, 0] / _NEAR,
-                speeds,
+                (openings[:, :2] - openings[:, 1:]).flatten(1) / _OPENING,
                 outlook.slide / _OPENING,
             ],
             1,
         )
+        parts = [
+            axes.unflatten(1, (count, 3)).transpose(-1, -2).flatten(2),
+            offset / _LENGTH,
+            motion.flatten(2),
+            shared.unsqueeze(1).expand(-1, count, -1),
+        ]
+        return self.token(torch.cat(parts, -1)) + self.kind
 
-    def _entities(self, frames: Tensor, context: Tensor) -> Tensor:
-        """Entity tokens (B, E, C) of their poses and motions (B, 3, E, 4, 4) in the end effector's frame."""
-        root = self.response.effector.root
-        turn = frames[:, 0, root, :3, :3].unsqueeze(1)  # (B, 1, 3, 3)
-        origin = frames[:, 0, root, :3, 3].unsqueeze(1)
-        rotation = turn.transpose(-1, -2) @ frames[:, 0, :, :3, :3]  # (B, E, 3, 3)
-        offset = ((frames[:, 0, :, :3, 3] - origin).unsqueeze(-2) @ turn).squeeze(-2)
-        moves = twists(frames.transpose(1, 2)).transpose(1, 2)  # (B, 2, E, 6)
-        linear = moves[..., None, :3] @ turn.unsqueeze(1) / _TRANSLATION
-        angular = moves[..., None, 3:] @ turn.unsqueeze(1) / _ROTATION
-        motion = torch.cat([linear, angular], -1).squeeze(-2).transpose(1, 2).flatten(2)  # (B, E, 12)
-        pose = torch.cat([rotation.flatten(2), offset / _LENGTH], -1)  # (B, E, 12)
-        shared = context.unsqueeze(1).expand(-1, len(self.layout), -1)
-        return self.token(torch.cat([pose, motion, shared], -1)) + self.kind
-
-    def _move(self, state: RigidState, outlook: _Outlook, root: Tensor, decoded: Tensor) -> Tensor:
+    def _move(self, state: RigidState, moves: Tensor, outlook: _Outlook, root: Tensor, decoded: Tensor) -> Tensor:
         """Next poses (B, E, 4, 4), given the root link's (B, 4, 4) and decoded tokens (B, E, 9)."""
-        effector, now = self.response.effector, state.poses()
+        effector, free, now = self.response.effector, self.contact.free, state.poses()
         before = now[:, effector.root]
-        learned = self._world_twists(before, decoded[..., 2:_FLIGHT])  # (B, E, 6)
         moved = list(now.unbind(1))
         moved[effector.root] = root
         if effector.sliding:
@@ -270,16 +271,18 @@ class CompactModel(nn.Module):
             widths = effector.limit(outlook.openings[:, 0] + slide)
             for k, pose in zip(effector.sliding, effector.links(root, widths).unbind(1), strict=True):
                 moved[k] = pose
-        turn = twist(before, root)[:, 3:]
-        for k in self.contact.free:
-            cloud = state.clouds[:, state.layout.entities[k].slice][:, : self.config.points]
-            middle = cloud.mean(1)  # canonical (B, 3); of what training sees, however many points a state has
-            centre = (now[:, k, :3, :3] @ middle.unsqueeze(-1)).squeeze(-1) + now[:, k, :3, 3]
-            carried = torch.cat([_carried(centre, before, root), turn], -1)
-            attached, moving, flying = (_gate(decoded[:, k, i : i + 1]) for i in (0, 1, _FLIGHT))
-            flight, afoot = _flight(state.frames[:, 1, k], now[:, k], middle)
-            move = attached * carried + moving * learned[:, k] + flying * afoot * flight
-            moved[k] = _turn_about(now[:, k], middle, centre, move)
+        if free:
+            told, current, last = decoded[:, free], now[:, free], state.frames[:, 1, free]  # (B, F, ...)
+            attached, moving, flying = _gate(told[..., [0, 1, _FLIGHT]]).split(1, -1)
+            middle = self.contact.middles(state)  # canonical (B, F, 3)
+            centre, centre_before = (_at(pose, middle) for pose in (current, last))
+            carried = twist(before, root)[:, None, 3:].expand_as(centre)
+            carried = torch.cat([_carried(centre, before, root), carried], -1)
+            flight, afoot = _flight(centre - centre_before, moves[:, free, 0, 3:])
+            move = attached * carried + moving * self._world_twists(before, told[..., 2:_FLIGHT])
+            poses = _turn_about(current, middle, centre, move + flying * afoot * flight)
+            for k, pose in zip(free, poses.unbind(1), strict=True):
+                moved[k] = pose
         return torch.stack(moved, 1)
 
     @staticmethod
@@ -297,28 +300,30 @@ def _moved(pose: Tensor, move: Tensor) -> Tensor:
     return make_pose(rotation_from_vector(move[:, 3:]) @ pose[:, :3, :3], pose[:, :3, 3] + move[:, :3])
 
 
-def _carried(point: Tensor, before: Tensor, after: Tensor) -> Tensor:
-    """Displacement (B, 3) of a world-frame point (B, 3) that moves with a link from pose to pose (B, 4, 4)."""
-    local = ((point - before[:, :3, 3]).unsqueeze(1) @ before[:, :3, :3]).squeeze(1)
-    return (after[:, :3, :3] @ local.unsqueeze(-1)).squeeze(-1) + after[:, :3, 3] - point
+def _at(pose: Tensor, point: Tensor) -> Tensor:
+    """World-frame points (B, F, 3) of canonical ones (B, F, 3), each of a pose (B, F, 4, 4)."""
+    return (pose[..., :3, :3] @ point.unsqueeze(-1)).squeeze(-1) + pose[..., :3, 3]
 
 
-def _flight(before: Tensor, now: Tensor, middle: Tensor) -> tuple[Tensor, Tensor]:
-    """Twist (B, 6) about a canonical point (B, 3) in free flight from poses (B, 4, 4), and how much it moved (B, 1).
+def _carried(points: Tensor, before: Tensor, after: Tensor) -> Tensor:
+    """Displacements (B, F, 3) of world-frame points (B, F, 3) that move with a link from pose to pose (B, 4, 4)."""
+    return transform(after, (points - before[:, None, :3, 3]) @ before[:, :3, :3]) - points
+
+
+def _flight(gone: Tensor, turned: Tensor) -> tuple[Tensor, Tensor]:
+    """Twists (B, F, 6) of free flight after ways and turns (B, F, 3) of a step, and how much these were (B, F, 1).
 
     The second is 0 where the object rested, so that what rests does not fall, and near 1 where it moved.
     """
-    gone = ((now - before)[:, :3, :3] @ middle.unsqueeze(-1)).squeeze(-1) + (now - before)[:, :3, 3]
-    turned = twist(before, now)[:, 3:]
     speed = (torch.cat([gone, _LEVER * turned], -1).square().sum(-1, keepdim=True) + 1e-12).sqrt()
     afoot = torch.tanh((speed - _RESTS).clamp_min(0.0) / _AFOOT)
     return torch.cat([gone + gone.new_tensor([0.0, 0.0, FALL]), turned], -1), afoot
 
 
 def _turn_about(pose: Tensor, middle: Tensor, centre: Tensor, move: Tensor) -> Tensor:
-    """Pose (B, 4, 4) moved by a twist (B, 6) about its canonical point ``middle``, which lies at ``centre``."""
-    rotation = rotation_from_vector(move[:, 3:]) @ pose[:, :3, :3]
-    return make_pose(rotation, centre + move[:, :3] - (rotation @ middle.unsqueeze(-1)).squeeze(-1))
+    """Poses (B, F, 4, 4) moved by twists (B, F, 6) about their canonical points ``middle``, which lie at ``centre``."""
+    rotation = rotation_from_vector(move[..., 3:]) @ pose[..., :3, :3]
+    return make_pose(rotation, centre + move[..., :3] - (rotation @ middle.unsqueeze(-1)).squeeze(-1))
 
 
 def _gate(logit: Tensor) -> Tensor:

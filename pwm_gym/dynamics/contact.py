@@ -61,6 +61,10 @@ class ContactFeatures(nn.Module):
             told.append(self.object(self._of_objects(state, boxes, links, links_next)))
         return torch.cat(told, 1)[:, self._places]
 
+    def middles(self, state: RigidState) -> Tensor:
+        """Mean canonical points (B, F, 3) of the objects: of those that are read, however many a state has."""
+        return self._canonical(state, self.free).mean(-2)
+
     def _of_links(self, boxes: Tensor, links: Tensor, links_next: Tensor) -> Tensor:
         """Features (B, 1 + S, 8, K) of the boxes' corners: where they are, and how far they would enter the table."""
         low, high = boxes.unsqueeze(-2).unbind(2)  # (B, 1 + S, 1, 3)

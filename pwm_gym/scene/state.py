@@ -99,10 +99,9 @@ class RigidState:
 
     def points(self, step: int = 0) -> Tensor:
         """World-frame points (..., N, 3), ``step`` (0, 1 or 2) steps ago."""
-        parts = [
-            transform(self.frames[..., step, i, :, :], self.clouds[..., e.slice, :]) for i, e in enumerate(self.layout)
-        ]
-        return torch.cat(parts, -2)
+        frames = self.frames[..., step, :, :, :]
+        parts = [transform(frames[..., i, :, :], self.clouds[..., e.slice, :]) for i, e in enumerate(self.layout)]
+        return torch.cat([part.transpose(-1, -2) for part in parts], -1).transpose(-1, -2)  # along the points in memory
 
     def velocity(self) -> Tensor:
         """v_t (..., N, 3)."""
