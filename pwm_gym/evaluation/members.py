@@ -33,7 +33,6 @@ CHUNKS = {"closed loop": 1, "chunks of 20": 20, "chunks of 50": 50, "open loop":
 """Name -> actions between two looks; 0 looks once."""
 
 _EPISODES, _SLOW_EPISODES, _FULL_EPISODES = 20, 5, 100
-_SLOW_SAMPLES = 16
 _MAX_STEPS, _SLOW_MAX_STEPS = 100, 50
 
 
@@ -47,7 +46,9 @@ class Member:
     source: str
     """The checkpoint, the row or the baseline."""
     slow: bool = False
-    """Whether it plans fewer and shorter episodes with fewer samples."""
+    """Whether it plans fewer and shorter episodes."""
+    samples: int | None = None
+    """Action sequences of a plan; None takes as many as the planner's settings say."""
     partial: bool = False
     """Whether it sees what one camera sees."""
     planner: str = "mppi"
@@ -61,7 +62,7 @@ class Member:
     def config(self) -> SamplingConfig:
         """Settings of its planner."""
         config = get_planner_config(self.planner)
-        return config.resize(_SLOW_SAMPLES) if self.slow else config
+        return config if self.samples is None else config.resize(self.samples)
 
     @property
     def max_steps(self) -> int:
@@ -89,9 +90,9 @@ class PlanningTable:
 
 _MODELS = (
     Member("compact (default)", "checkpoint", "default"),
-    Member("3DPWM, paper-small", "row", "3DPWM, paper-small", slow=True),
-    Member("ParticleFormer+", "row", "ParticleFormer+", slow=True, partial=True),
-    Member("Partial 3DPWM", "row", "Partial 3DPWM", slow=True, partial=True),
+    Member("3DPWM, paper-small", "row", "3DPWM, paper-small", slow=True, samples=32),
+    Member("ParticleFormer+", "row", "ParticleFormer+", slow=True, samples=32, partial=True),
+    Member("Partial 3DPWM", "row", "Partial 3DPWM", slow=True, samples=32, partial=True),
     Member("linear response, no learning", "baseline", "linear"),
     Member("the simulator itself", "simulator", "", slow=True),
 )

@@ -22,7 +22,7 @@ from pwm_gym.sim.model import SimulatorModel
 from pwm_gym.tasks import get_task
 
 TASK = get_task("PickCube")
-BASELINE = Member("linear", "baseline", "linear", slow=True, partial=True)
+BASELINE = Member("linear", "baseline", "linear", slow=True, samples=4, partial=True)
 TABLE = PlanningTable("one baseline", (BASELINE,), modes=("closed loop", "open loop"))
 
 
@@ -32,7 +32,6 @@ def quick(monkeypatch):
     monkeypatch.setattr(table, "_SLOW_EPISODES", 1)
     monkeypatch.setattr(table, "_SLOW_MAX_STEPS", 2)
     monkeypatch.setattr(table, "get_planner_config", lambda name: MPPIConfig(samples=8, elites=4, horizon=2))
-    monkeypatch.setattr(table, "_SLOW_SAMPLES", 4)
 
 
 def test_a_table_tells_every_mode_and_keeps_what_is_there(quick, data_folder, tmp_path, monkeypatch):
@@ -78,7 +77,7 @@ def test_planners_are_compared_in_one_model():
     members = PLANNING_TABLES["planners"].members
     assert {(m.kind, m.source, m.slow) for m in members} == {("checkpoint", "default", False)}
     assert [type(m.config) for m in members[:2]] == [MPPIConfig, CEMConfig]
-    assert replace(members[0], slow=True).config.samples < members[0].config.samples
+    assert replace(members[0], samples=20).config == members[0].config.resize(20)
 
 
 def test_what_the_environment_shows_is_what_is_planned_from(data_folder, tmp_path, quick, monkeypatch):
