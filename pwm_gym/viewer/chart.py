@@ -240,24 +240,26 @@ def draw_growth(
     """A picture of charts side by side, each of how quantities grow with a size, straight lines, carried on to zero.
 
     Args:
-        panels: name of a size -> label of a curve (two at most) -> size (a whole number) -> seconds.
+        panels: name of a size -> label of a curve (two in all at most) -> size (a whole number) -> seconds.
         title: over all of them.
         size: of one chart, pixels.
     """
     width, height = size
+    labels = list(dict.fromkeys(label for curves in panels.values() for label in curves))
+    colors = dict(zip(labels, (PREDICTED, TRUE)[: len(labels)], strict=True))
     image = Image.new("RGB", (20 + len(panels) * (width + 20), height + 60), (255, 255, 255))
     text(image, (20, 24), title, 17)
     for place, (name, curves) in enumerate(panels.items()):
         left = 20 + place * (width + 20)
         pitch = float(np.gcd.reduce([round(x) for curve in curves.values() for x in curve]))
         lines = []
-        for (label, known), color in zip(curves.items(), (PREDICTED, TRUE)[: len(curves)], strict=True):
+        for label, known in curves.items():
             sizes = np.arange(0.0, max(known) + 0.5 * pitch, pitch)
             x = np.array(sorted(known))
             y = np.array([known[k] for k in x])
             start = y[0] - x[0] * (y[1] - y[0]) / (x[1] - x[0]) if len(x) > 1 else 0.0
             values = np.interp(sizes, [0.0, *x], [max(start, 0.0), *y])
-            lines.append(Curve(label, values, color))
+            lines.append(Curve(label, values, colors[label]))
         box = (left, 48, left + width, 48 + height)
         image = Chart(box, "seconds", lines, from_zero=True, across=name, pitch=pitch).draw(image)
     return image
