@@ -48,7 +48,7 @@ _LIMITS = """## What these figures do not show
 - Training, validation and test differ by seeds alone. Actions are a script's and uniform noise; a planner's own actions
   are seen only in the planning figures.
 - Planning success is of seeded episodes of one task; where there are twenty or fewer, the intervals are wide.
-  Slow models are planned in with few samples and steps, which bound the simulator itself: compare them with each other.
+  Slow models are planned in for five episodes of 50 steps at most, the learned ones with a third of the samples.
 - Trainings of the tables are far shorter than the paper's, and as long for every row of a table in sample-steps, not in
   minutes: a network of points takes many times longer a step than one of entities. What a network of points loses by
   partial clouds is a factor of two here and of nine in the paper, whose training is longer.

@@ -65,7 +65,7 @@ def observe(state: State, goal: Tensor) -> dict[str, Tensor]:
 
 def _clipped(value: Tensor, bound: float) -> Tensor:
     """A contiguous copy within [-bound, bound]."""
-    return torch.clamp(value, -bound, bound, out=torch.empty_like(value, memory_format=torch.contiguous_format))
+    return value.clamp(-bound, bound).contiguous()
 
 
 def outside(state: State) -> Tensor:

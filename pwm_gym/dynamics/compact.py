@@ -232,8 +232,8 @@ class CompactModel(nn.Module):
             now[..., :3, :3].transpose(-1, -2).flatten(1, 2),
             now[..., :3, 3] - origin.unsqueeze(1),
             origin.unsqueeze(1),
-            moves.view(len(frames), -1, 3),
-            outlook.twist.view(-1, 2, 3),
+            moves.unflatten(-1, (2, 3)).flatten(1, 3),
+            outlook.twist.unflatten(-1, (2, 3)),
         ]
         seen = torch.cat(rows, 1) @ now[:, root, :3, :3]
         axes, offset, base, motion, ahead = seen.split([3 * count, count, 1, 4 * count, 2], 1)
@@ -276,8 +276,8 @@ class CompactModel(nn.Module):
             attached, moving, flying = _gate(told[..., [0, 1, _FLIGHT]]).split(1, -1)
             middle = self.contact.middles(state)  # canonical (B, F, 3)
             centre, centre_before = (_at(pose, middle) for pose in (current, last))
-            carried = twist(before, root)[:, None, 3:].expand_as(centre)
-            carried = torch.cat([_carried(centre, before, root), carried], -1)
+            turn = twist(before, root)[:, None, 3:].expand_as(centre)
+            carried = torch.cat([_carried(centre, before, root), turn], -1)
             flight, afoot = _flight(centre - centre_before, moves[:, free, 0, 3:])
             move = attached * carried + moving * self._world_twists(before, told[..., 2:_FLIGHT])
             poses = _turn_about(current, middle, centre, move + flying * afoot * flight)

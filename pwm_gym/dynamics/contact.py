@@ -62,8 +62,9 @@ class ContactFeatures(nn.Module):
         return torch.cat(told, 1)[:, self._places]
 
     def middles(self, state: RigidState) -> Tensor:
-        """Mean canonical points (B, F, 3) of the objects: of those that are read, however many a state has."""
-        return self._canonical(state, self.free).mean(-2)
+        """Mean (B, F, 3) of the objects' canonical points that training reads, however many points a state has."""
+        clouds = [state.clouds[:, state.layout.entities[k].slice] for k in self.free]
+        return torch.stack([cloud[:, : self._points].mean(1) for cloud in clouds], 1)
 
     def _of_links(self, boxes: Tensor, links: Tensor, links_next: Tensor) -> Tensor:
         """Features (B, 1 + S, 8, K) of the boxes' corners: where they are, and how far they would enter the table."""

@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from pwm_gym.robots.control import SerialArm
-from pwm_gym.scene.se3 import make_pose, matrix_from_pose7, turn, turning
+from pwm_gym.scene.se3 import make_pose, matrix_from_pose7, rotation_about, rotation_parts
 
 __all__ = ["ArmKinematics"]
 
@@ -21,8 +21,8 @@ _DAMPING = 1e-6  # of the least squares, in squared metres: next to a singularit
 class ArmKinematics(nn.Module):
     """Kinematics of ``arm``; poses are in the base's frame."""
 
-    local: Tensor
-    axes: Tensor
+    joint_parts: Tensor
+    axis_parts: Tensor
     mount: Tensor
     tool: Tensor
     grip: Tensor
@@ -38,11 +38,11 @@ class ArmKinematics(nn.Module):
             matrix_from_pose7(torch.tensor(pose, dtype=torch.float64)) for pose in (arm.origins, arm.mount)
         )
         tool, axes = torch.tensor(arm.tool, dtype=torch.float64), torch.eye(3, dtype=torch.float64)
-        joints = F.pad(turning(axes[2]), (0, 1, 0, 1))  # about z
+        joints = F.pad(rotation_parts(axes[2]), (0, 1, 0, 1))  # about z
         joints[0, 3, 3] = 1.0
         tables = {
-            "local": origins @ joints.unsqueeze(1),  # parts (3, J, 4, 4) of each joint's frame in the one before it
-            "axes": turning(axes),  # parts (3, 3, 3, 3) of turns about x, y and z
+            "joint_parts": origins @ joints.unsqueeze(1),  # (3, J, 4, 4), of each joint's frame in the one before it
+            "axis_parts": rotation_parts(axes),  # (3, 3, 3, 3), of turns about x, y and z
             "mount": mount,
             "tool": tool,
             "grip": make_pose(axes, tool),  # the tool's frame in the root link's
@@ -56,7 +56,7 @@ class ArmKinematics(nn.Module):
 
     def frames(self, joints: Tensor) -> Tensor:
         """Poses (..., J, 4, 4) of the joints' frames at angles (..., J); each joint's axis is its frame's z."""
-        local = turn(self.local.to(joints), joints)
+        local = rotation_about(self.joint_parts.to(joints), joints)
         poses = [local[..., 0, :, :]]
         for k in range(1, self.arm.joints):
             poses.append(poses[-1] @ local[..., k, :, :])
@@ -113,7 +113,7 @@ class ArmKinematics(nn.Module):
         """Root link's pose (..., 4, 4) that an action (..., A) asks for when it is at ``root`` (..., 4, 4)."""
         units = action[..., 3:6]
         angles = self.arm.rotation_unit * units / units.norm(dim=-1, keepdim=True).clamp_min(1.0)
-        x, y, z = turn(self.axes.to(root), angles).unbind(-3)
+        x, y, z = rotation_about(self.axis_parts.to(root), angles).unbind(-3)
         rotation = x @ y @ z @ root[..., :3, :3]
         tool = self._tool(root)[..., :3, 3] + self.arm.position_unit * action[..., :3]
         return make_pose(rotation, tool - rotation @ self.tool.to(root))

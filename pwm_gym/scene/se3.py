@@ -6,6 +6,8 @@ A pose is a (4, 4) homogeneous matrix that takes canonical coordinates to the wo
 
 from __future__ import annotations
 
+from functools import cache
+
 import torch
 from torch import Tensor
 
@@ -15,27 +17,50 @@ __all__ = [
     "matrix_from_pose7",
     "motion_vector",
     "pose7_from_matrix",
+    "rotation_about",
     "rotation_angle",
     "rotation_from_vector",
+    "rotation_parts",
     "transform",
-    "turn",
-    "turning",
     "vector_from_rotation",
 ]
 
 _SMALL_ANGLE = 1e-6  # radians; below it x/sin(x) takes its limit
-_EYE = torch.eye(3)
-_BOTTOM = torch.tensor([[0.0, 0.0, 0.0, 1.0]])
-# Of a vector (3,): its cross product's matrix, flat.
-_CROSS = torch.linalg.cross(_EYE.unsqueeze(1), _EYE.unsqueeze(0)).transpose(1, 2).flatten(1)
-# Of a flat rotation (9,): sine times axis, and the cosine but for a constant.
-_SKEW_AND_TRACE = 0.5 * torch.cat([_CROSS, _EYE.flatten().unsqueeze(0)]).T
+_EYE = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+_BOTTOM = ((0.0, 0.0, 0.0, 1.0),)
+_CROSS = (  # of a vector (3,): the matrix (9,) of the cross product with it
+    (0.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 1.0, 0.0),
+    (0.0, 0.0, 1.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0),
+    (0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+)
+_SINE_AND_COSINE = (  # of a rotation (9,): its axis times the sine (3,), and the cosine and a half
+    (0.0, 0.0, 0.0, 0.5),
+    (0.0, 0.0, -0.5, 0.0),
+    (0.0, 0.5, 0.0, 0.0),
+    (0.0, 0.0, 0.5, 0.0),
+    (0.0, 0.0, 0.0, 0.5),
+    (-0.5, 0.0, 0.0, 0.0),
+    (0.0, -0.5, 0.0, 0.0),
+    (0.5, 0.0, 0.0, 0.0),
+    (0.0, 0.0, 0.0, 0.5),
+)
+
+
+@cache
+def _made(values: tuple[tuple[float, ...], ...], dtype: torch.dtype, device: torch.device) -> Tensor:
+    with torch.inference_mode(False):  # a planner may be the first to ask, and a training the next
+        return torch.tensor(values, dtype=dtype, device=device)
+
+
+def _constant(values: tuple[tuple[float, ...], ...], like: Tensor) -> Tensor:
+    """A constant on the device of ``like``, made once."""
+    return _made(values, like.dtype, like.device)
 
 
 def make_pose(rotation: Tensor, translation: Tensor) -> Tensor:
     """Pose (..., 4, 4) of a rotation (..., 3, 3) and a translation (..., 3)."""
     top = torch.cat([rotation, translation.unsqueeze(-1)], -1)
-    return torch.cat([top, _BOTTOM.to(top).expand(*top.shape[:-2], 1, 4)], -2)
+    return torch.cat([top, _constant(_BOTTOM, top).expand(*top.shape[:-2], 1, 4)], -2)
 
 
 def inverse(pose: Tensor) -> Tensor:
@@ -47,27 +72,34 @@ def inverse(pose: Tensor) -> Tensor:
 def transform(pose: Tensor, points: Tensor) -> Tensor:
     """Points (..., n, 3) moved by poses (..., 4, 4).
 
-    In memory the result runs along its points: such products, sums and minima of many points take a third of the time.
+    In memory the result runs along its points, which is faster to form and to reduce (``docs/performance.md``): it is
+    not contiguous.
     """
     return (pose[..., :3, :3] @ points.transpose(-1, -2) + pose[..., :3, 3:]).transpose(-1, -2)
 
 
 def rotation_from_vector(vector: Tensor) -> Tensor:
-    """Rotation (..., 3, 3) of a rotation vector (..., 3) in radians (Rodrigues' formula)."""
-    cross = (vector @ _CROSS.to(vector)).unflatten(-1, (3, 3))
+    """Rotation (..., 3, 3) of a rotation vector (..., 3) in radians (Rodrigues' formula).
+
+    Differentiable everywhere, at rest once.
+    """
+    cross = (vector @ _constant(_CROSS, vector)).unflatten(-1, (3, 3))
     turns = torch.linalg.vector_norm(vector, dim=-1)[..., None, None] / torch.pi  # half revolutions
-    linear = torch.addcmul(_EYE.to(vector), torch.sinc(turns), cross)
+    linear = torch.addcmul(_constant(_EYE, vector), torch.sinc(turns), cross)
     return torch.addcmul(linear, torch.sinc(0.5 * turns).square(), cross @ cross, value=0.5)
 
 
-def turning(axes: Tensor) -> Tensor:
+def rotation_parts(axes: Tensor) -> Tensor:
     """Parts (3, ..., 3, 3) of turns about unit axes (..., 3): fixed, times the angle's cosine, and times its sine."""
     along = axes.unsqueeze(-1) * axes.unsqueeze(-2)
-    return torch.stack([along, _EYE.to(axes) - along, (axes @ _CROSS.to(axes)).unflatten(-1, (3, 3))])
+    return torch.stack([along, _constant(_EYE, axes) - along, (axes @ _constant(_CROSS, axes)).unflatten(-1, (3, 3))])
 
 
-def turn(parts: Tensor, angle: Tensor) -> Tensor:
-    """Rotations (..., m, m) by angles (...) in radians, of parts (3, ..., m, m) as of :func:`turning`."""
+def rotation_about(parts: Tensor, angle: Tensor) -> Tensor:
+    """Rotations (..., 3, 3) by angles (...) in radians about axes of which there are parts (:func:`rotation_parts`).
+
+    Parts may be multiplied by constant matrices, or poses (3, ..., 4, 4); then so is the result.
+    """
     fixed, by_cosine, by_sine = parts.unbind()
     angle = angle[..., None, None]
     return torch.addcmul(torch.addcmul(fixed, angle.cos(), by_cosine), angle.sin(), by_sine)
@@ -85,7 +117,7 @@ def motion_vector(rotation: Tensor) -> Tensor:
 
     Cheaper than :func:`vector_from_rotation` and differentiable at rest; not for angles near pi.
     """
-    parts = rotation.flatten(-2) @ _SKEW_AND_TRACE.to(rotation)
+    parts = rotation.flatten(-2) @ _constant(_SINE_AND_COSINE, rotation)
     sine_axis, cosine = parts[..., :3], parts[..., 3:] - 0.5
     sine = torch.linalg.vector_norm(sine_axis, dim=-1, keepdim=True).clamp_min(_SMALL_ANGLE)
     return sine_axis * (torch.atan2(sine, cosine) / sine)

@@ -231,6 +231,8 @@ def stack(states: list[State], dim: int) -> State:
 class EntityPoints(Mapping[str, Tensor]):
     """Entity name -> world-frame points (B, n, 3), formed when first asked for: what a cost function reads.
 
+    In memory they run along the points, not along their coordinates: ``reshape`` them, which ``view`` cannot.
+
     Args:
         state: the scenes.
         velocity: whether the values are the points' velocities (metres a step) instead.

@@ -188,6 +188,23 @@ def test_free_flight_does_not_depend_on_how_many_points_a_state_has(state, actio
     torch.testing.assert_close(coarse, full, atol=1e-6, rtol=0)
 
 
+def test_an_objects_middle_is_of_its_own_points(state):
+    counts = {"hand": 24, "left_gripper": 24, "right_gripper": 24, "cube": 40, "ball": 10}
+    sliders = {e.name: e.slider for e in state.layout if e.slider is not None}
+    layout = Layout.build(list(counts.items()), ["hand", *sliders], sliders)
+    clouds = torch.rand(2, layout.points, 3)
+    frames = torch.eye(4).expand(2, 3, len(layout), 4, 4)
+    middles = model_of(layout, CompactConfig(points=32)).contact.middles(RigidState(layout, clouds, frames))
+    expected = [clouds[:, layout["cube"].slice][:, :32].mean(1), clouds[:, layout["ball"].slice].mean(1)]
+    torch.testing.assert_close(middles, torch.stack(expected, 1))
+
+
+@torch.no_grad()
+def test_a_batch_of_none_is_moved(model, state, action):
+    none = model.step(model.prepare(state)[:0], action[:0])
+    assert none.frames.shape == (0, *state.frames.shape[1:])
+
+
 @torch.no_grad()
 def test_the_order_of_the_entities_does_not_matter(model, state, action):
     order = [3, 1, 0, 2]  # places of the new entities in the old layout

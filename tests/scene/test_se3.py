@@ -10,8 +10,10 @@ from pwm_gym.scene.se3 import (
     matrix_from_pose7,
     motion_vector,
     pose7_from_matrix,
+    rotation_about,
     rotation_angle,
     rotation_from_vector,
+    rotation_parts,
     transform,
     vector_from_rotation,
 )
@@ -37,6 +39,23 @@ def test_rotation_from_vector_agrees_with_scipy_and_roma(angle):
     rotation = rotation_from_vector(torch.as_tensor(v))
     np.testing.assert_allclose(rotation, Rotation.from_rotvec(v).as_matrix(), atol=1e-12)
     np.testing.assert_allclose(rotation, roma.rotvec_to_rotmat(torch.as_tensor(v)), atol=1e-12)
+
+
+def test_rotation_about_an_axis_is_that_of_its_vector():
+    axes = torch.as_tensor(vectors(1.0)).unsqueeze(1)  # (n, 1, 3)
+    angles = torch.tensor([-2.0, 0.0, 0.3, 3.0], dtype=torch.float64)
+    parts = rotation_parts(axes)
+    torch.testing.assert_close(rotation_about(parts, angles), rotation_from_vector(angles.unsqueeze(-1) * axes))
+    pose = random_poses(1)[0, :3, :3]
+    torch.testing.assert_close(rotation_about(pose @ parts, angles), pose @ rotation_about(parts, angles))
+
+
+def test_constants_first_used_in_inference_mode_serve_gradients():
+    vector = torch.tensor([0.1, 0.2, 0.3], dtype=torch.float16)  # of a type that nothing else uses
+    with torch.inference_mode():
+        rotation_from_vector(vector)
+    rotation_from_vector(vector.requires_grad_())[0, 1].backward()
+    assert vector.grad is not None
 
 
 @pytest.mark.parametrize("angle", ANGLES)
