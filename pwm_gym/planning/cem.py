@@ -49,8 +49,12 @@ class CEMConfig(SamplingConfig):
 
     @classmethod
     def icem(cls, horizon: int = 10) -> CEMConfig:
-        """iCEM: coloured noise, elites that are kept, ever fewer samples, the best sequence."""
-        return cls(horizon=horizon, finest=(1.0,), colour=2.0, shrink=1.25, kept=0.3, best=True)
+        """iCEM: coloured noise, elites that are kept, ever fewer samples, the best sequence.
+
+        As with all planners here, and not as published, some samples search wide and some refine (``finest``). Without
+        it the fingers often wait around an object and do not shut: 8 of 20 episodes of PickCube succeed.
+        """
+        return cls(horizon=horizon, colour=2.0, shrink=1.25, kept=0.3, best=True)
 
 
 class CEM(SamplingPlanner[CEMConfig]):

@@ -12,7 +12,9 @@ PLAIN = {"horizon": 8, "sigma": (0.4,), "correlation": (0.5,), "finest": (0.2,),
 PLANNERS = {
     "mppi": MPPIConfig(samples=128, elites=16, temperature=0.1, **PLAIN),
     "cem": CEMConfig(samples=128, elites=16, **PLAIN),
-    "icem": replace(CEMConfig.icem(8), samples=128, elites=16, sigma=(0.4,), correlation=(0.0,), stops=0),
+    "icem": replace(
+        CEMConfig.icem(8), samples=128, elites=16, sigma=(0.4,), correlation=(0.0,), finest=(1.0,), stops=0
+    ),
     "gradient": GradientConfig(**PLAIN),
 }
 TARGETS = torch.tensor([[0.4, -0.3], [-0.2, 0.1], [0.0, 0.3]])
