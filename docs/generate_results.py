@@ -262,8 +262,8 @@ def _completed_rollouts() -> str:
 
 
 def _tables() -> list[str]:
-    results = {name: _read(f"table_{name}") for name in _TABLES}
-    return [_table(f"table_{name}", result) for name, result in results.items() if result]
+    names = [f"table_{name}" for name in _TABLES]
+    return [_table(name, result) for name in names if (result := _read(name))]
 
 
 def _table(name: str, result: dict[str, Any]) -> str:

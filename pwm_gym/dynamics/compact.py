@@ -272,18 +272,30 @@ class CompactModel(nn.Module):
             for k, pose in zip(effector.sliding, effector.links(root, widths).unbind(1), strict=True):
                 moved[k] = pose
         if free:
-            told, current, last = decoded[:, free], now[:, free], state.frames[:, 1, free]  # (B, F, ...)
-            attached, moving, flying = _gate(told[..., [0, 1, _FLIGHT]]).split(1, -1)
-            middle = self.contact.middles(state)  # canonical (B, F, 3)
-            centre, centre_before = (_at(pose, middle) for pose in (current, last))
-            turn = twist(before, root)[:, None, 3:].expand_as(centre)
-            carried = torch.cat([_carried(centre, before, root), turn], -1)
-            flight, afoot = _flight(centre - centre_before, moves[:, free, 0, 3:])
-            move = attached * carried + moving * self._world_twists(before, told[..., 2:_FLIGHT])
-            poses = _turn_about(current, middle, centre, move + flying * afoot * flight)
+            poses = self._move_objects(state, moves[:, free], before, root, decoded[:, free])
             for k, pose in zip(free, poses.unbind(1), strict=True):
                 moved[k] = pose
         return torch.stack(moved, 1)
+
+    def _move_objects(self, state: RigidState, moves: Tensor, before: Tensor, root: Tensor, decoded: Tensor) -> Tensor:
+        """Next poses (B, F, 4, 4) of what the robot does not drive.
+
+        Args:
+            state: the scenes.
+            moves: the objects' two last motions (B, F, 2, 6).
+            before: the root link's pose (B, 4, 4).
+            root: its next one.
+            decoded: the objects' decoded tokens (B, F, 9).
+        """
+        frames = state.frames[:, :2, self.contact.free]
+        middle = self.contact.middles(state)  # canonical (B, F, 3)
+        centre, centre_before = transform(frames, middle[:, None, :, None]).squeeze(-2).unbind(1)
+        attached, moving, flying = _gate(decoded[..., [0, 1, _FLIGHT]]).split(1, -1)
+        turn = twist(before, root)[:, None, 3:].expand_as(centre)
+        carried = torch.cat([_carried(centre, before, root), turn], -1)
+        flight, afoot = _flight(centre - centre_before, moves[:, :, 0, 3:])
+        move = attached * carried + moving * self._world_twists(before, decoded[..., 2:_FLIGHT])
+        return _turn_about(frames[:, 0], middle, centre, move + flying * afoot * flight)
 
     @staticmethod
     def _world_twists(root: Tensor, decoded: Tensor) -> Tensor:
@@ -298,11 +310,6 @@ class CompactModel(nn.Module):
 def _moved(pose: Tensor, move: Tensor) -> Tensor:
     """Pose (B, 4, 4) after a twist (B, 6)."""
     return make_pose(rotation_from_vector(move[:, 3:]) @ pose[:, :3, :3], pose[:, :3, 3] + move[:, :3])
-
-
-def _at(pose: Tensor, point: Tensor) -> Tensor:
-    """World-frame points (B, F, 3) of canonical ones (B, F, 3), each of a pose (B, F, 4, 4)."""
-    return (pose[..., :3, :3] @ point.unsqueeze(-1)).squeeze(-1) + pose[..., :3, 3]
 
 
 def _carried(points: Tensor, before: Tensor, after: Tensor) -> Tensor:

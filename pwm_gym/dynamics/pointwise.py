@@ -55,6 +55,11 @@ class PointwiseModel(nn.Module, ABC):
         """Features a point."""
         return 9 + (len(self.layout) if self.config.entity_features else 0)
 
+    @property
+    def moved_points(self) -> int:
+        """Points of each entity that it was trained to move; 0 is all, or none where entities move rigidly."""
+        return 0 if self.config.rigid else int(self.config.points)
+
     @abstractmethod
     def network(self, rows: Tensor, positions: Tensor, action: Tensor) -> Tensor:
         """Scaled velocities (B, N, 3).

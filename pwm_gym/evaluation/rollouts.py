@@ -78,8 +78,9 @@ def predict(
         model: world model on the CPU.
         dataset: episodes of one split.
         oracle_effector: whether the true end effector replaces the predicted one after each step.
-        start: what is observed of each episode's first three steps (M,); None takes the complete truth. Its canonical
-            frames may differ from the true ones: predicted poses are told as motions of the true one at the start.
+        start: what is observed of each episode's first three steps (M,); None takes the complete truth, with as many
+            points of each entity as a model of points was trained to move. Its canonical frames may differ from the
+            true ones: predicted poses are told as motions of the true one at the start.
     """
     episodes = tuple(e for e in dataset.episodes if len(e) > OBSERVED - 1)
     lengths = np.array([len(e) - (OBSERVED - 1) for e in episodes])
@@ -87,7 +88,7 @@ def predict(
     frames = torch.stack([_frames(e, horizon) for e in episodes])  # (M, H + 3, E, 4, 4)
     joints = torch.stack([_joints(e, horizon) for e in episodes])  # (M, H + 3, 2, J)
     actions = torch.stack([_actions(e, horizon) for e in episodes])
-    begin = start or observed_start(dataset)
+    begin = start or _complete_start(model, dataset)
     chunks, order = [], np.argsort(lengths, kind="stable")  # so that few steps are rolled past an episode's end
     for k in range(0, len(episodes), _CHUNK):
         part = torch.as_tensor(order[k : k + _CHUNK])
@@ -99,6 +100,12 @@ def predict(
     if not torch.equal(begin.poses(), third):
         poses = poses @ inverse(begin.poses()).unsqueeze(1) @ third.unsqueeze(1)
     return Rollouts(dataset, episodes, poses, frames[:, 3:], joints[:, 3:], actions, states, lengths)
+
+
+def _complete_start(model: WorldModel, dataset: Dataset) -> RigidState:
+    """State (M,) of the third step of each episode, with the points that ``model`` was trained to move."""
+    start, count = observed_start(dataset), getattr(model, "moved_points", 0)
+    return start.coarsen(start.layout.truncate(count)) if count else start
 
 
 def observed_start(dataset: Dataset, seen: np.ndarray | None = None) -> RigidState:

@@ -21,7 +21,6 @@ import numpy as np
 from pwm_gym.data import FitConfig, fit, load_split
 from pwm_gym.data.partial import visible_split
 from pwm_gym.dynamics import WorldModel, load_checkpoint
-from pwm_gym.dynamics.pointwise import PointwiseModel
 from pwm_gym.dynamics.training import TrainConfig
 from pwm_gym.errors import look_up
 from pwm_gym.evaluation.planning import planning_table, run_episodes
@@ -268,8 +267,6 @@ def _run(piece: _Piece) -> None:
     start = None
     if row.view == "partial":
         start = observed_start(test, visible_split(piece.data, "test", task, test))
-    elif isinstance(model, PointwiseModel) and model.config.points and not model.config.rigid:
-        start = observed_start(test).coarsen(test.layout.truncate(model.config.points))  # as it was trained
     table = evaluate_rollouts(model, task, test, every=10, progress=False, start=start)
     result = {
         "commit": piece.commit,

@@ -52,7 +52,7 @@ class CEMConfig(SamplingConfig):
         """iCEM: coloured noise, elites that are kept, ever fewer samples, the best sequence.
 
         As with all planners here, and not as published, some samples search wide and some refine (``finest``). Without
-        it the fingers often wait around an object and do not shut: 8 of 20 episodes of PickCube succeed.
+        it the fingers often wait around an object and do not shut.
         """
         return cls(horizon=horizon, colour=2.0, shrink=1.25, kept=0.3, best=True)
 

@@ -84,9 +84,9 @@ def rotation_from_vector(vector: Tensor) -> Tensor:
     Differentiable everywhere, at rest once.
     """
     cross = (vector @ _constant(_CROSS, vector)).unflatten(-1, (3, 3))
-    turns = torch.linalg.vector_norm(vector, dim=-1)[..., None, None] / torch.pi  # half revolutions
-    linear = torch.addcmul(_constant(_EYE, vector), torch.sinc(turns), cross)
-    return torch.addcmul(linear, torch.sinc(0.5 * turns).square(), cross @ cross, value=0.5)
+    half_turns = torch.linalg.vector_norm(vector, dim=-1)[..., None, None] / torch.pi  # sinc's unit
+    linear = torch.addcmul(_constant(_EYE, vector), torch.sinc(half_turns), cross)
+    return torch.addcmul(linear, torch.sinc(0.5 * half_turns).square(), cross @ cross, value=0.5)
 
 
 def rotation_parts(axes: Tensor) -> Tensor:

@@ -76,6 +76,14 @@ def test_the_order_of_the_episodes_is_kept(dataset, cut, monkeypatch):
     torch.testing.assert_close(predict(model, replace(dataset, episodes=tuple(episodes))).poses[2], there.poses[2])
 
 
+@pytest.mark.parametrize("rigid", [False, True])
+def test_a_model_of_points_begins_with_as_many_as_it_was_trained_to_move(dataset, cut, rigid):
+    config = {"width": 8, "neighbours": 3, "points": 6, "rigid": rigid}
+    model = build_model("gbnd", TASK.layout, TASK.action_size, TASK.control, config)
+    rollouts = predict(model.eval(), replace(dataset, episodes=(cut(dataset.episodes[0], 4),)))
+    assert rollouts.states.layout == (dataset.layout if rigid else dataset.layout.truncate(6))
+
+
 @pytest.mark.parametrize("form", [lambda s: s, PointState.of], ids=["rigid", "points"])
 def test_a_perfect_model_has_no_error(dataset, form):
     rollouts = predict(Replay(dataset, form), dataset)
