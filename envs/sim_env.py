@@ -23,8 +23,8 @@ from pwm_gym.envs.common import (
     observation_space,
     observe,
 )
+from pwm_gym.envs.observation_models import OBSERVATIONS, Sensing, build_sight
 from pwm_gym.envs.rendering import SceneRenderer
-from pwm_gym.envs.sight import OBSERVATIONS, Sensing, build_sight
 from pwm_gym.errors import PwmGymError, unknown_name
 from pwm_gym.scene import Entity, RigidState, Scene, batch_state, resample_clouds, sample_clouds
 from pwm_gym.seeds import RANGES

@@ -13,11 +13,11 @@ import numpy as np
 import tyro
 
 import pwm_gym
+from pwm_gym.cameras.viewpoints import CAMERA, CAMERA_SCALE
 from pwm_gym.completion import build_completer
 from pwm_gym.perception import FrameRenderer, MaskSegmenter, SceneObserver, load_frames
 from pwm_gym.scene import batch_state
 from pwm_gym.tasks import get_task
-from pwm_gym.tasks.cameras import CAMERA, CAMERA_SCALE
 
 
 @dataclass
@@ -57,7 +57,7 @@ def main(args: Args) -> None:
 
     task = get_task("PickCube")
     completer = build_completer(args.completer)
-    observer = SceneObserver("PickCube", task.layout, task.robot(), MaskSegmenter(), completer)
+    observer = SceneObserver("PickCube", task.layout, task.robot.cloud(), MaskSegmenter(), completer)
     seen = observer(frame, np.array(args.goal, np.float32))
     cube = batch_state([seen.scene]).entity("cube")[0].mean(0)
     print(f"the cube is at {cube.numpy().round(3)}, expected error {1e3 * seen.errors['cube']:.1f} mm")

@@ -11,6 +11,7 @@
 from __future__ import annotations
 
 import importlib
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pwm_gym.costs import register_cost, register_grasp, register_success, register_terms
@@ -19,7 +20,19 @@ from pwm_gym.registration import register_envs
 from pwm_gym.scene import Scene
 
 if TYPE_CHECKING:
-    from pwm_gym import data, dynamics, envs, evaluation, planning, tasks, viewer, wrappers
+    from pwm_gym import (
+        collection,
+        data,
+        dynamics,
+        envs,
+        evaluation,
+        experiments,
+        planning,
+        tasks,
+        training,
+        viewer,
+        wrappers,
+    )
 
 __version__ = "0.1.0"
 __all__ = [
@@ -29,21 +42,39 @@ __all__ = [
     "Scene",
     "SceneError",
     "UnknownNameError",
+    "collection",
     "data",
     "dynamics",
     "envs",
     "evaluation",
+    "experiments",
     "planning",
     "register_cost",
     "register_grasp",
     "register_success",
     "register_terms",
     "tasks",
+    "training",
     "viewer",
     "wrappers",
 ]
 
-_SUBPACKAGES = ("data", "dynamics", "envs", "evaluation", "planning", "tasks", "viewer", "wrappers")
+if not Path(__file__).with_name("envs").is_dir():  # in the repository envs/ and wrappers/ stand beside the package
+    __path__.append(str(Path(__file__).parents[1]))
+
+_SUBPACKAGES = (
+    "collection",
+    "data",
+    "dynamics",
+    "envs",
+    "evaluation",
+    "experiments",
+    "planning",
+    "tasks",
+    "training",
+    "viewer",
+    "wrappers",
+)
 
 
 def __getattr__(name: str) -> Any:

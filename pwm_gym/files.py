@@ -5,17 +5,21 @@ from __future__ import annotations
 import io
 import json
 import os
+import struct
+import tokenize
 import zipfile
 import zlib
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
 from pwm_gym.errors import PwmGymError
+from pwm_gym.schema import decode
 
-__all__ = ["load_arrays", "save_arrays", "write_atomically"]
+__all__ = ["NoHeader", "check_finite", "load_arrays", "save_arrays", "write_atomically"]
 
 
 def write_atomically(path: Path, content: bytes) -> None:
@@ -39,25 +43,76 @@ def save_arrays(path: str | Path, arrays: Mapping[str, np.ndarray], header: Mapp
     write_atomically(Path(path), buffer.getvalue())
 
 
+@dataclass(frozen=True)
+class NoHeader:
+    """Of files that hold arrays alone."""
+
+    format: str = ""
+
+
+class _Header(Protocol):
+    @property
+    def format(self) -> str: ...
+
+
+_H = TypeVar("_H", bound=_Header)
+_DAMAGE = (
+    KeyError,
+    TypeError,
+    ValueError,
+    OSError,
+    EOFError,
+    MemoryError,
+    RuntimeError,
+    NotImplementedError,
+    OverflowError,
+    SyntaxError,
+    struct.error,
+    tokenize.TokenError,
+    zipfile.BadZipFile,
+    zlib.error,
+)
+"""What NumPy and the standard library raise on damaged files."""
+
+
 def load_arrays(
-    path: str | Path, complaint: str, error: type[PwmGymError], form: str | None = None
-) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    path: str | Path,
+    complaint: str,
+    error: type[PwmGymError],
+    form: str = "",
+    header: type[_H] = NoHeader,  # type: ignore[assignment]
+    gaps: Collection[str] = (),
+) -> tuple[dict[str, np.ndarray], _H]:
     """Arrays and header of a file that :func:`save_arrays` wrote.
 
     Args:
         path: the file.
         complaint: what is said of a file that is missing, truncated or no ``.npz``: "is not a scene file".
-        error: raised then, and where the format is another.
-        form: ``header["format"]`` that it must have; None expects no header.
+        error: raised then, where the format is another, and where an array holds values that are not finite.
+        form: the ``format`` that its header must have; empty expects no header.
+        header: dataclass of the header.
+        gaps: names of arrays that may hold values which are not finite.
     """
-    header: dict[str, Any] = {}
     try:
         with np.load(path, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
-        if form is not None:
-            header = dict(json.loads(str(arrays.pop("header"))))
-    except (KeyError, TypeError, ValueError, OSError, EOFError, zipfile.BadZipFile, zlib.error) as cause:
+    except _DAMAGE as cause:
         raise error(f"{path} {complaint} ({cause})") from cause
-    if form is not None and header.get("format") != form:
-        raise error(f"{path} has format {header.get('format')!r}; expected {form!r}")
-    return arrays, header
+    found: Any = NoHeader()
+    if form:
+        if "header" not in arrays:
+            raise error(f"{path} {complaint} (it has no header)")
+        text = str(arrays.pop("header"))
+        named = decode(text, NoHeader, error, f"{path} {complaint}: its header")
+        if named.format != form:
+            raise error(f"{path} has format {named.format!r}; expected {form!r}")
+        found = decode(text, header, error, f"the header of {path}")
+    for name in arrays.keys() - {*gaps}:
+        check_finite(arrays[name], f"{path}: {name}", error)
+    return arrays, found
+
+
+def check_finite(array: np.ndarray, what: str, error: type[PwmGymError]) -> None:
+    """Raise ``error`` where an array of floats holds a NaN or an infinity."""
+    if np.issubdtype(array.dtype, np.floating) and not np.isfinite(array).all():
+        raise error(f"{what} holds {int((~np.isfinite(array)).sum())} values that are not finite")

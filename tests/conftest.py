@@ -8,8 +8,9 @@ import pytest
 import torch
 
 import pwm_gym
+from pwm_gym.collection import CollectConfig, collect
 from pwm_gym.costs import COSTS
-from pwm_gym.data import CollectConfig, collect, load_split
+from pwm_gym.data import load_split
 
 
 @pytest.fixture(scope="session", autouse=True)

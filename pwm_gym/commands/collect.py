@@ -7,7 +7,7 @@ from typing import Annotated
 
 import tyro
 
-from pwm_gym.data import CollectConfig
+from pwm_gym.collection import CollectConfig
 
 __all__ = ["Collect"]
 
@@ -20,6 +20,6 @@ class Collect:
 
     def run(self) -> None:
         """Collect, with a progress bar."""
-        from pwm_gym.data import collect
+        from pwm_gym.collection import collect
 
         print(f"data set: {collect(self.config)}")

@@ -68,11 +68,12 @@ class Evaluate:
         if self.table is not None:
             self._table(self.table)
             return
-        from pwm_gym.data import fit_baseline, load_split
+        from pwm_gym.data import load_split
         from pwm_gym.dynamics import load_checkpoint, resolve
         from pwm_gym.evaluation import evaluate_rollouts, long_rollouts, write_results
         from pwm_gym.process import prepare_process
         from pwm_gym.tasks import get_task
+        from pwm_gym.training import fit_baseline
 
         prepare_process(self.threads)
         if self.pictures is not None:
@@ -139,8 +140,9 @@ class Evaluate:
 
     def _table(self, name: str) -> None:
         from pwm_gym.errors import look_up
-        from pwm_gym.evaluation import TABLES, run_planning_table, run_table, write_results
-        from pwm_gym.evaluation.members import PLANNING_TABLES, PlanningTable
+        from pwm_gym.evaluation import write_results
+        from pwm_gym.experiments import TABLES, run_planning_table, run_table
+        from pwm_gym.experiments.members import PLANNING_TABLES, PlanningTable
         from pwm_gym.process import prepare_process
 
         chosen = look_up("table", name, {**TABLES, **PLANNING_TABLES})
@@ -199,10 +201,10 @@ def _print_planning(table: dict[str, Any]) -> None:
 
 def _completed_starts(task: Task, dataset: Dataset, completer: str, sensor: str) -> dict[str, RigidState]:
     """What perception makes of the episodes' first views, from each of three places."""
+    from pwm_gym.cameras.viewpoints import CAMERA_SCALE, VIEWPOINTS
     from pwm_gym.completion import build_completer
     from pwm_gym.evaluation.rollouts import completed_start
-    from pwm_gym.tasks.cameras import CAMERA_SCALE, VIEWPOINTS
-    from pwm_gym.tasks.observing import build_observer
+    from pwm_gym.perception.build import build_observer
 
     simulator = task.simulator()
     meshes = simulator.meshes()
@@ -237,16 +239,16 @@ def _print(task: Task, rows: dict[str, Any], floors: dict[str, Any]) -> None:
     for split in splits:
         episodes = next(iter(rows.values()))[split]["episodes"]
         print(f"\n{task.name}, {split}: {episodes} test episodes")
-        header = f"{task.object} @10   @30   @60  median@60  last (mm)"
+        header = f"{task.objects[0]} @10   @30   @60  median@60  last (mm)"
         print(f"  {'model':16s} {'CD L1':>8s} {'entities':>9s} {'corr':>6s}   {header}")
         for name, table in rows.items():
             row = table[split]
-            position = row["entities"][task.object]["position_mm"]
+            position = row["entities"][task.objects[0]]["position_mm"]
             cells = [f"{position[k]['mean']:5.1f}" if k in position else "    -" for k in ("10", "30", "60")]
             middle = f"{position['60']['median']:5.1f}" if "60" in position else "    -"
             print(
                 f"  {name:16s} {row['chamfer_l1']:8.4f} {row['chamfer_l1_entity_mean']:9.4f} "
-                f"{_number(row['reward_correlation'])}   {' ' * len(task.object)} {' '.join(cells)}      {middle} "
+                f"{_number(row['reward_correlation'])}   {' ' * len(task.objects[0])} {' '.join(cells)}      {middle} "
                 f"     {position['last']['mean']:5.1f}"
             )
         ceiling = next(iter(rows.values()))[split]["reward_correlation_ceiling"]

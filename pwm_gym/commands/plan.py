@@ -108,7 +108,7 @@ class Plan:
         """Terms that the constraints add to the cost."""
         from pwm_gym.planning import keep_clear, workspace
 
-        effector = tuple(e.name for e in task.layout if e.effector)
+        effector = tuple(e.name for e in task.layout if e.driven)
         penalties: dict[str, Any] = {}
         if self.workspace is not None:
             penalties["workspace"] = (100.0, workspace(self.workspace[:3], self.workspace[3:], effector))

@@ -7,8 +7,8 @@ from typing import Annotated
 
 import tyro
 
-from pwm_gym.data import FitConfig
-from pwm_gym.dynamics.training import TrainConfig
+from pwm_gym.training import FitConfig
+from pwm_gym.training.losses import TrainConfig
 
 __all__ = ["Train"]
 
@@ -26,8 +26,8 @@ class Train:
 
     def run(self) -> None:
         """Train, with a progress bar, TensorBoard curves and checkpoints."""
-        from pwm_gym.data import fit
         from pwm_gym.evaluation import validation_metrics
+        from pwm_gym.training import fit
 
         training = self.training
         if self.paper:

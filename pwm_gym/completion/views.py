@@ -11,13 +11,13 @@ import torch
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
+from pwm_gym.cameras import DepthCamera, RayCaster
+from pwm_gym.cameras.occlusion import occlude
+from pwm_gym.cameras.sensor import get_sensor
 from pwm_gym.completion.draws import log_uniform
 from pwm_gym.completion.frame import LEAST, ViewerFrame
 from pwm_gym.errors import PwmGymError
 from pwm_gym.scene import Layout, spread
-from pwm_gym.sensing import DepthCamera, RayCaster
-from pwm_gym.sensing.occlusion import occlude
-from pwm_gym.sensing.sensor import get_sensor
 
 if TYPE_CHECKING:
     import trimesh

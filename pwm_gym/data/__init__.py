@@ -1,20 +1,8 @@
-"""Episodes: collection, storage, and the windows that training reads."""
+"""Episodes and data sets: storage, and the windows that training reads."""
 
-from pwm_gym.data.collect import CollectConfig, collect
-from pwm_gym.data.dataset import Dataset, Windows, load_split
+from pwm_gym.data.batch import Batch, Batches
+from pwm_gym.data.dataset import Dataset, load_split
 from pwm_gym.data.episodes import KINDS, Episode
-from pwm_gym.data.fitting import FitConfig, fit, fit_baseline, fit_error
+from pwm_gym.data.windows import Windows
 
-__all__ = [
-    "KINDS",
-    "CollectConfig",
-    "Dataset",
-    "Episode",
-    "FitConfig",
-    "Windows",
-    "collect",
-    "fit",
-    "fit_baseline",
-    "fit_error",
-    "load_split",
-]
+__all__ = ["KINDS", "Batch", "Batches", "Dataset", "Episode", "Windows", "load_split"]

@@ -8,7 +8,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from pwm_gym.dynamics.training import Batch, Batches
+from pwm_gym.data.batch import Batch, Batches
 
 __all__ = ["Reframed", "reframe"]
 
@@ -45,7 +45,7 @@ def reframe(batch: Batch, generator: torch.Generator) -> Batch:
     """
     clouds, frames, following = batch.clouds.clone(), batch.frames.clone(), batch.following.clone()
     for k, entity in enumerate(batch.layout):
-        if entity.effector:
+        if entity.driven:
             continue
         turn = _AXES[torch.randint(len(_AXES), (len(clouds),), generator=generator)]  # (B, 3, 3)
         clouds[:, entity.slice] = clouds[:, entity.slice] @ turn

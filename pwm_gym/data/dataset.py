@@ -3,25 +3,20 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import torch
-from torch import Tensor
 
 from pwm_gym.data.episodes import KINDS, Episode, read_shard
-from pwm_gym.dynamics.training import Batch
 from pwm_gym.errors import DatasetError, unknown_name
 from pwm_gym.scene import Layout, Scene
-from pwm_gym.scene.se3 import matrix_from_pose7
 
-__all__ = ["SPLITS", "Dataset", "Windows", "load_split", "read_header"]
+__all__ = ["SPLITS", "Dataset", "load_split", "read_header"]
 
 SPLITS = ("train", "validation", "test")
 _SCHEMA = 1
-_STILL = 1e-3  # metres a step; an object that moves more, and not with the hand, is an event
 
 
 @dataclass(frozen=True)
@@ -92,83 +87,3 @@ def load_split(folder: Path | str, split: str, task: str | None = None) -> Datas
     episodes = [episode for path in paths for episode in read_shard(path, name)]
     layout = Layout.from_json(header["layout"])  # type: ignore[arg-type]
     return Dataset(name, layout, np.asarray(header["clouds"], np.float32), tuple(episodes))
-
-
-class Windows:
-    """Random windows of H steps with three poses of history; a pure function of the generator's seed.
-
-    Args:
-        dataset: a split.
-        boost: how much likelier a window is drawn in which an object moves, but not with the end effector
-            (pushes, drops and releases: rare, and most of an object's error).
-    """
-
-    def __init__(self, dataset: Dataset, boost: float = 1.0) -> None:
-        poses = [torch.as_tensor(e.poses, dtype=torch.float64) for e in dataset.episodes]
-        self._poses = matrix_from_pose7(torch.cat(poses)).float()  # (F, E, 4, 4)
-        self._joints = torch.cat([torch.as_tensor(e.joints) for e in dataset.episodes])
-        self._actions = torch.cat([torch.as_tensor(np.r_[e.actions, e.actions[-1:]]) for e in dataset.episodes])
-        self._clouds = torch.as_tensor(dataset.clouds)
-        self.layout = dataset.layout
-        lengths = np.array([len(e) for e in dataset.episodes])
-        starts = np.concatenate([[0], np.cumsum(lengths + 1)[:-1]])
-        self._first = torch.as_tensor(np.repeat(starts, lengths + 1))  # of each frame's episode
-        last = np.repeat(starts + lengths, lengths + 1)
-        self._left = torch.as_tensor(last) - torch.arange(len(last))  # transitions after each frame
-        self._events = torch.cat([torch.zeros(1), self._event_steps(dataset.layout).cumsum(0)])
-        self._boost = boost
-        self._tables: dict[int, tuple[Tensor, Tensor]] = {}
-
-    def __len__(self) -> int:
-        return int((self._left > 0).sum())
-
-    def _event_steps(self, layout: Layout) -> Tensor:
-        """1.0 (F,) where an object moves on its own in the step after the frame."""
-        position = self._poses[:, :, :3, 3]
-        move = torch.zeros_like(position)
-        move[:-1] = position[1:] - position[:-1]
-        objects = [i for i, e in enumerate(layout) if not e.effector]
-        own = move[:, objects].norm(dim=-1)
-        relative = (move[:, objects] - move[:, layout.root, None]).norm(dim=-1)
-        return ((torch.minimum(own, relative) > _STILL).any(1) & (self._left > 0)).float()
-
-    def _table(self, horizon: int) -> tuple[Tensor, Tensor]:
-        """Frames that have ``horizon`` steps after them, and their cumulative weights."""
-        if horizon not in self._tables:
-            frames = torch.nonzero(self._left >= horizon).squeeze(1)
-            if not len(frames):
-                raise DatasetError(f"no episode is {horizon} steps long")
-            eventful = (self._events[frames + horizon] - self._events[frames]) > 0
-            weights = 1.0 + (self._boost - 1.0) * eventful.double()
-            self._tables[horizon] = frames, weights.cumsum(0)
-        return self._tables[horizon]
-
-    def sample(self, generator: torch.Generator, batch: int, horizon: int) -> Batch:
-        """``batch`` windows of ``horizon`` steps."""
-        frames, cumulative = self._table(horizon)
-        draw = torch.rand(batch, generator=generator, dtype=torch.float64) * cumulative[-1]
-        chosen = frames[torch.searchsorted(cumulative, draw).clamp_max(len(frames) - 1)]
-        return self.at(chosen, horizon, generator)
-
-    def transitions(self) -> Batch:
-        """Every single step of the data set, as windows of one."""
-        return self.at(torch.nonzero(self._left > 0).squeeze(1), 1, torch.Generator().manual_seed(0))
-
-    def chunks(self, size: int) -> Iterator[Batch]:
-        """The same, ``size`` at a time."""
-        for frames in torch.nonzero(self._left > 0).squeeze(1).split(size):
-            yield self.at(frames, 1, torch.Generator().manual_seed(0))
-
-    def at(self, frames: Tensor, horizon: int, generator: torch.Generator) -> Batch:
-        """The windows (B,) that begin at ``frames``; ``generator`` draws what a kind of windows leaves to chance."""
-        history = torch.maximum(frames[:, None] - torch.arange(3), self._first[frames][:, None])
-        ahead = frames[:, None] + torch.arange(horizon + 1)
-        return Batch(
-            layout=self.layout,
-            clouds=self._clouds.expand(len(frames), -1, -1),
-            frames=self._poses[history],
-            actions=self._actions[ahead[:, :-1]],
-            following=self._poses[ahead[:, 1:]],
-            joints=self._joints[frames],
-            following_joints=self._joints[ahead[:, 1:]],
-        )

@@ -3,20 +3,34 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 
 import numpy as np
 
 from pwm_gym.errors import DatasetError
-from pwm_gym.files import load_arrays, save_arrays
+from pwm_gym.files import check_finite, load_arrays, save_arrays
+from pwm_gym.scene import SCHEMA
 
-__all__ = ["KINDS", "Episode", "read_shard", "write_shard"]
+__all__ = ["FORMAT", "KINDS", "Episode", "read_shard", "write_shard"]
 
 KINDS = ("expert", "randomised", "practice", "on_policy")
 """Kinds of episodes: the expert's, the expert's up to a random switch, mixed segments, and a planner's."""
 
 _PER_EPISODE = ("goal", "kind", "seed", "switch")
+
+
+FORMAT = "pwm_gym.episodes"
+
+
+@dataclass(frozen=True)
+class _Header:
+    """What a shard says beside its arrays."""
+
+    format: str
+    schema: int
+    task: str
+    assets: list[tuple[str, ...]] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
@@ -42,6 +56,8 @@ class Episode:
     seed: int
     switch: int = -1
     """Step of the switch to random actions; -1 where there is none."""
+    assets: tuple[str, ...] = ()
+    """Name of each entity's asset (E,), where a task's objects differ between episodes."""
 
     def __len__(self) -> int:
         return len(self.actions)
@@ -50,11 +66,15 @@ class Episode:
 def write_shard(path: Path, episodes: Sequence[Episode], header: dict[str, object]) -> None:
     """Write episodes to one ``.npz``: per-step arrays joined end to end, per-episode values stacked."""
     arrays: dict[str, np.ndarray] = {}
-    for field in fields(Episode):
-        values = [getattr(e, field.name) for e in episodes]
-        arrays[field.name] = np.stack(values) if field.name in _PER_EPISODE else np.concatenate(values)
+    for part in fields(Episode):
+        if part.name == "assets":
+            continue
+        values = [getattr(e, part.name) for e in episodes]
+        arrays[part.name] = np.stack(values) if part.name in _PER_EPISODE else np.concatenate(values)
     arrays["lengths"] = np.array([len(e) for e in episodes])
-    save_arrays(path, arrays, header)
+    for name, array in arrays.items():
+        check_finite(array, f"{path}: {name}", DatasetError)
+    save_arrays(path, arrays, {**header, "assets": [e.assets for e in episodes]})
 
 
 def read_shard(path: Path, task: str | None = None) -> list[Episode]:
@@ -64,13 +84,36 @@ def read_shard(path: Path, task: str | None = None) -> list[Episode]:
         DatasetError: the file is truncated, foreign, or of another task than ``task``.
     """
     complaint = "is truncated or not a shard; collect again to replace it"
-    arrays, header = load_arrays(path, complaint, DatasetError, "pwm_gym.episodes")
-    if task is not None and header["task"] != task:
-        raise DatasetError(f"{path} holds episodes of {header['task']!r}; expected {task!r}")
-    return _split(arrays)
+    arrays, header = load_arrays(path, complaint, DatasetError, FORMAT, _Header)
+    if task is not None and header.task != task:
+        raise DatasetError(f"{path} holds episodes of {header.task!r}; expected {task!r}")
+    if header.schema > SCHEMA:
+        raise DatasetError(f"{path} has schema {header.schema}; this version reads up to {SCHEMA}")
+    _check(path, arrays, header)
+    return _split(arrays, header.assets)
 
 
-def _split(arrays: dict[str, np.ndarray]) -> list[Episode]:
+def _check(path: Path, arrays: dict[str, np.ndarray], header: _Header) -> None:
+    """Raise :class:`DatasetError` where a shard's arrays do not fit each other."""
+    stored = [f.name for f in fields(Episode) if f.name != "assets"]
+    if missing := [name for name in ("lengths", *stored) if name not in arrays]:
+        raise DatasetError(f"{path} lacks {', '.join(missing)}; collect again to replace it")
+    lengths = arrays["lengths"]
+    if lengths.ndim != 1 or not np.issubdtype(lengths.dtype, np.integer) or (lengths < 1).any():
+        raise DatasetError(f"{path} has lengths {lengths}; expected positive integers")
+    steps, count = int(lengths.sum()), len(lengths)
+    expected = {name: count if name in _PER_EPISODE else steps for name in stored}
+    expected |= {"poses": steps + count, "joints": steps + count}
+    for name, number in expected.items():
+        if arrays[name].shape[:1] != (number,):
+            raise DatasetError(f"{path}: {name} has shape {arrays[name].shape}; expected {number} rows")
+    if arrays["poses"].ndim != 3 or arrays["poses"].shape[2] != 7:
+        raise DatasetError(f"{path}: poses have shape {arrays['poses'].shape}; expected (frames, entities, 7)")
+    if len(header.assets) not in (0, count):
+        raise DatasetError(f"{path} names assets of {len(header.assets)} episodes; expected {count}")
+
+
+def _split(arrays: dict[str, np.ndarray], assets: list[tuple[str, ...]]) -> list[Episode]:
     lengths = arrays.pop("lengths")
     episodes, step, frame = [], 0, 0
     for i, length in enumerate(lengths):
@@ -87,6 +130,7 @@ def _split(arrays: dict[str, np.ndarray]) -> list[Episode]:
                 kind=int(arrays["kind"][i]),
                 seed=int(arrays["seed"][i]),
                 switch=int(arrays["switch"][i]),
+                assets=assets[i] if assets else (),
             )
         )
         step, frame = step + length, frame + length + 1

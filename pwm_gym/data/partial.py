@@ -12,15 +12,16 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
-from pwm_gym.data.dataset import Dataset, Windows, load_split
-from pwm_gym.dynamics.training import Batch
+from pwm_gym.cameras import DepthCamera, RayCaster
+from pwm_gym.cameras.viewpoints import CAMERA
+from pwm_gym.data.batch import Batch
+from pwm_gym.data.dataset import Dataset, load_split
+from pwm_gym.data.windows import Windows
 from pwm_gym.errors import DatasetError
 from pwm_gym.files import load_arrays, save_arrays
 from pwm_gym.scene import Layout, Scene, batch_state
 from pwm_gym.scene.se3 import matrix_from_pose7, transform
-from pwm_gym.sensing import DepthCamera, RayCaster
 from pwm_gym.tasks import Task
-from pwm_gym.tasks.cameras import CAMERA
 
 if TYPE_CHECKING:
     import trimesh

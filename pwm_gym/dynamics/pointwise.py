@@ -120,7 +120,7 @@ class PointwiseModel(nn.Module, ABC):
 
 def _effector_mean(points: Tensor, layout: Layout) -> Tensor:
     """Mean (B, 1, 3) of the end effectors' points, or of all where there is no end effector."""
-    parts = [points[:, e.slice] for e in layout if e.effector] or [points]
+    parts = [points[:, e.slice] for e in layout if e.driven] or [points]
     # In float64 the mean does not depend on the order of the points, and so neither do their cells.
     return torch.cat(parts, 1).double().mean(1, keepdim=True).to(points.dtype)
 

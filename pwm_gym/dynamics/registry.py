@@ -8,11 +8,11 @@ from typing import Any
 
 from torch import nn
 
-from pwm_gym.dynamics.baselines import BaselineConfig, Commanded, LinearBaseline, Still
-from pwm_gym.dynamics.compact import CompactConfig, CompactModel
-from pwm_gym.dynamics.graph import GraphConfig, GraphModel
-from pwm_gym.dynamics.paper import PaperConfig, PaperModel, SmallPaperConfig
-from pwm_gym.dynamics.particleformer import ParticleFormer, ParticleFormerConfig
+from pwm_gym.dynamics.baselines.graph import GraphConfig, GraphModel
+from pwm_gym.dynamics.baselines.linear import BaselineConfig, Commanded, LinearBaseline, Still
+from pwm_gym.dynamics.baselines.particleformer import ParticleFormer, ParticleFormerConfig
+from pwm_gym.dynamics.compact.model import CompactConfig, CompactModel
+from pwm_gym.dynamics.paper.model import PaperConfig, PaperModel, SmallPaperConfig
 from pwm_gym.errors import CheckpointError, look_up, unknown_name
 from pwm_gym.robots import Control
 from pwm_gym.scene import Layout

@@ -37,9 +37,9 @@ class EndEffector(nn.Module):
 
     def __init__(self, layout: Layout) -> None:
         super().__init__()
-        self.root = layout.root
-        self.sliding = [i for i, e in enumerate(layout) if e.slider is not None]
-        sliders = [e.slider for e in layout if e.slider is not None]
+        self.root = layout.hands[0]
+        self.sliding = [i for i in layout.driven if layout.entities[i].joint.moves]
+        sliders = [layout.entities[i].joint for i in self.sliding]
         origins = matrix_from_pose7(torch.tensor([s.origin for s in sliders]).reshape(-1, 7))
         axes = torch.tensor([s.axis for s in sliders]).reshape(-1, 3, 1)
         self.register_buffer("origins", origins, persistent=False)  # (S, 4, 4)

@@ -1,15 +1,12 @@
 """Metrics, tables and floors. They receive models, data sets, environments or simulators as arguments."""
 
-from pwm_gym.evaluation.members import run_planning_table
 from pwm_gym.evaluation.metrics import chamfer, pearson
 from pwm_gym.evaluation.planning import planning_table, run_episodes, save_runs, wilson
 from pwm_gym.evaluation.record import write_results
 from pwm_gym.evaluation.report import evaluate_rollouts
 from pwm_gym.evaluation.rollouts import long_rollouts, predict, validation_metrics
-from pwm_gym.evaluation.tables import TABLES, run_table
 
 __all__ = [
-    "TABLES",
     "chamfer",
     "evaluate_rollouts",
     "long_rollouts",
@@ -17,8 +14,6 @@ __all__ = [
     "planning_table",
     "predict",
     "run_episodes",
-    "run_planning_table",
-    "run_table",
     "save_runs",
     "validation_metrics",
     "wilson",

@@ -15,16 +15,16 @@ from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves
 from torch.utils.flop_counter import FlopCounterMode
 
+from pwm_gym.cameras import RayCaster
+from pwm_gym.cameras.viewpoints import CAMERA
 from pwm_gym.costs import get_cost, get_grasp
 from pwm_gym.dynamics import WorldModel, rollout
+from pwm_gym.perception.build import build_observer
 from pwm_gym.planning import MPPIConfig, RolloutObjective, build_planner
 from pwm_gym.planning.adapters import FlatModel
 from pwm_gym.scene import Scene, batch_state, sample_clouds
 from pwm_gym.seeds import seed_range
-from pwm_gym.sensing import RayCaster
 from pwm_gym.tasks import Task
-from pwm_gym.tasks.cameras import CAMERA
-from pwm_gym.tasks.observing import build_observer
 
 __all__ = [
     "compare_planners",
@@ -121,7 +121,7 @@ def perception_times(task: Task, completer: str, scenes: int = 20) -> dict[str, 
 
     Returns:
         "first" (with completion) and "later" (tracked) views: seconds of each stage, and of "all". "ray-cast": of one
-        view of :data:`~pwm_gym.tasks.cameras.CAMERA`.
+        view of :data:`~pwm_gym.cameras.viewpoints.CAMERA`.
     """
     spent: dict[str, list[dict[str, float]]] = {"first": [], "later": []}
     with gym.make(f"pwm/{task.name}Sim-v0") as env:

@@ -37,7 +37,7 @@ def chaos_floor(simulator: Simulator, task: Task, dataset: Dataset, progress: bo
 
     Episodes are replayed with their recorded actions from their first scene.
     """
-    index, rows = task.layout.index(task.object), []
+    index, rows = task.layout.index(task.objects[0]), []
     for episode in tqdm(dataset.episodes, disable=not progress, desc="chaos floor", leave=False):
         simulator.reset(episode.seed)
         scene = dataset.scene(episode)
@@ -48,7 +48,7 @@ def chaos_floor(simulator: Simulator, task: Task, dataset: Dataset, progress: bo
     distances, errors = zip(*rows, strict=True)
     return {
         "chamfer_l1": float(np.mean(distances)),
-        f"{task.object}_last_mm": {
+        f"{task.objects[0]}_last_mm": {
             "mean": 1e3 * float(np.mean(errors)),
             "median": 1e3 * float(np.median(errors)),
         },

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from pwm_gym.data.collect import record_episode
+from pwm_gym.collection.collect import record_episode
 from pwm_gym.data.dataset import Dataset
 from pwm_gym.dynamics.model import WorldModel
 from pwm_gym.evaluation.metrics import chamfer
@@ -113,7 +113,7 @@ def error_curves(model: WorldModel, dataset: Dataset, every: int = 10, progress:
     positions = {
         e.name: np.percentile(1e3 * position_errors(rollouts, i).numpy(), _QUARTILES, axis=0)
         for i, e in enumerate(dataset.layout)
-        if e.slider is None
+        if not e.joint.moves
     }
     means = {n: float(distances[:, steps <= n].mean()) for n in reported}
     return ErrorCurves(steps, np.percentile(distances, _QUARTILES, axis=0), positions, means)

@@ -167,7 +167,7 @@ def _roll(
 
     The effector's true poses (B, H, E, 4, 4) and joints (B, H, 2, J) overwrite the predicted ones.
     """
-    links = torch.tensor([e.effector for e in start.layout])
+    links = torch.tensor([e.driven for e in start.layout])
     state: State = model.prepare(start)
     states = []
     for h in range(steps):
@@ -232,7 +232,7 @@ def long_rollouts(model: WorldModel, dataset: Dataset, steps: int = 300, seed: i
         finite = finite and bool(torch.isfinite(still.frames).all() and torch.isfinite(wild.frames).all())
         far = max(far, float(wild.poses()[..., :3, 3].norm(dim=-1).max()))
     moved = (still.poses() - start.poses())[..., :3, 3].norm(dim=-1).amax(0) * 1e3
-    gaps = {e.name: float(m) for e, m in zip(layout, moved, strict=True) if e.slider is None}
+    gaps = {e.name: float(m) for e, m in zip(layout, moved, strict=True) if not e.joint.moves}
     return {"steps": steps, "zero_actions_mm": gaps, "random_actions_m": far, "finite": finite}
 
 
@@ -247,6 +247,6 @@ def validation_metrics(model: WorldModel, dataset: Dataset, seen: np.ndarray | N
     for name, wanted in (("demonstration", ("expert", "randomised")), ("practice", ("practice",))):
         chosen = torch.as_tensor(np.isin(kinds, wanted))
         for i, entity in enumerate(dataset.layout):
-            if entity.slider is None and chosen.any():
+            if not entity.joint.moves and chosen.any():
                 out[f"{name}_{entity.name}_mm"] = float(position_errors(rollouts, i)[chosen].nanmean()) * 1e3
     return out

@@ -15,10 +15,10 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from pwm_gym.cameras.camera import DepthCamera
+from pwm_gym.cameras.sensor import surface_normals
 from pwm_gym.errors import PwmGymError
 from pwm_gym.scene import spacing
-from pwm_gym.sensing.camera import DepthCamera
-from pwm_gym.sensing.sensor import surface_normals
 
 __all__ = ["Cleaning", "check_metres", "clean", "clusters", "depth_edges", "inliers", "median_depth"]
 

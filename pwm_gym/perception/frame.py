@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from pwm_gym.cameras import DepthCamera
 from pwm_gym.errors import PwmGymError
 from pwm_gym.files import load_arrays, save_arrays
 from pwm_gym.perception.cleaning import check_metres
-from pwm_gym.sensing import DepthCamera
 
 __all__ = ["Frame", "check_masks", "load_frames"]
 
@@ -22,6 +22,14 @@ _FORMAT = "pwm_gym.frame"
 _CAMERA = ("intrinsics", "pose", "width", "height")
 _OPTIONAL = ("colour", "segmentation", "joints")
 _MASK = "mask/"  # the prefix of a mask's name in a frame's file
+
+
+@dataclass(frozen=True)
+class _Header:
+    """What a frame's file says beside its arrays."""
+
+    format: str
+    masks: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +47,7 @@ class Frame:
     camera: DepthCamera
     """Where it looks from, in the robot base's frame."""
     segmentation: np.ndarray | None = None
-    """(H, W) int: a simulator's ids, as in :class:`~pwm_gym.sensing.View`."""
+    """(H, W) int: a simulator's ids, as in :class:`~pwm_gym.cameras.View`."""
     joints: np.ndarray | None = None
     """(J,): the robot's joint angles (radians) and openings (metres)."""
     masks: Mapping[str, np.ndarray] | None = None
@@ -102,14 +110,14 @@ class Frame:
         Raises:
             PwmGymError: the file is missing, truncated or not a frame.
         """
-        arrays, header = load_arrays(path, "is not a frame file", PwmGymError, _FORMAT)
+        arrays, header = load_arrays(path, "is not a frame file", PwmGymError, _FORMAT, _Header, gaps=["depth"])
         if missing := [k for k in ("depth", "intrinsics", "pose") if k not in arrays]:
             raise PwmGymError(f"{path} is not a frame file (it lacks {', '.join(missing)})")
         depth = arrays["depth"]
         camera = DepthCamera(arrays["intrinsics"], arrays["pose"], depth.shape[-1], depth.shape[0])
         masks = {k.removeprefix(_MASK): v for k, v in arrays.items() if k.startswith(_MASK)}
         optional = {k: arrays.get(k) for k in _OPTIONAL}
-        return cls(depth=depth, camera=camera, masks=masks if header.get("masks") else None, **optional)
+        return cls(depth=depth, camera=camera, masks=masks if header.masks else None, **optional)
 
 
 def check_masks(masks: Mapping[str, np.ndarray], shape: tuple[int, ...]) -> dict[str, np.ndarray]:

@@ -73,15 +73,15 @@ class SceneObserver:
         tracking: TrackingConfig | None = None,
         table: float | None = 0.0,
     ) -> None:
-        links = [e.name for e in layout if e.effector]
+        links = [e.name for e in layout if e.driven]
         if missing := [name for name in links if name not in robot.layout.names]:
             raise SceneError(f"the robot has no cloud of {', '.join(missing)}; it has {', '.join(robot.layout.names)}")
         self.task, self.layout, self.robot, self.table = task, layout, robot, table
         self.segmenter, self.completer, self.cleaning, self.tracking = segmenter, completer, cleaning, tracking
         self._links = [robot.layout.index(name) for name in links]
-        self._own = {e.name: robot.clouds[robot.layout[e.name].slice] for e in layout if e.effector}
+        self._own = {e.name: robot.clouds[robot.layout[e.name].slice] for e in layout if e.driven}
         if clouds is not None:
-            self._own = {e.name: clouds[e.slice] for e in layout if e.effector}
+            self._own = {e.name: clouds[e.slice] for e in layout if e.driven}
         self.reset()
 
     def reset(self) -> None:
@@ -130,7 +130,7 @@ class SceneObserver:
 
     @property
     def _objects(self) -> list[str]:
-        return [e.name for e in self.layout if not e.effector]
+        return [e.name for e in self.layout if not e.driven]
 
     def _move_robot(self, frame: Frame) -> None:
         if frame.joints is None:
@@ -173,13 +173,13 @@ class SceneObserver:
     def _motions(self) -> dict[str, np.ndarray]:
         """Motion (4, 4) of each link since the last view, in the base frame."""
         now, before = self._poses[0], self._poses[1]
-        names = [e.name for e in self.layout if e.effector]
+        names = [e.name for e in self.layout if e.driven]
         return {name: now[i] @ np.linalg.inv(before[i]) for i, name in enumerate(names)}
 
     def _scene(self, tracker: Tracker, goal: np.ndarray, last_action: np.ndarray | None) -> Scene:
         links = iter(np.stack(self._poses).swapaxes(0, 1))  # (L, 3, 4, 4)
-        poses = [next(links) if e.effector else tracker.history(e.name) for e in self.layout]
-        clouds = [self._own[e.name] if e.effector else self._completed[e.name] for e in self.layout]
+        poses = [next(links) if e.driven else tracker.history(e.name) for e in self.layout]
+        clouds = [self._own[e.name] if e.driven else self._completed[e.name] for e in self.layout]
         joints = np.stack([self._joints[0], self._joints[0] - self._joints[1]]).astype(np.float32)
         return Scene(
             task=self.task,

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 
+from pwm_gym.cameras import DepthCamera, RayCaster
+from pwm_gym.cameras.sensor import get_sensor
 from pwm_gym.errors import SceneError
 from pwm_gym.perception.frame import Frame
 from pwm_gym.perception.observer import Observation, SceneObserver
 from pwm_gym.scene import Layout, Scene
 from pwm_gym.scene.se3 import matrix_from_pose7
-from pwm_gym.sensing import DepthCamera, RayCaster
-from pwm_gym.sensing.sensor import get_sensor
 
 if TYPE_CHECKING:
     import trimesh

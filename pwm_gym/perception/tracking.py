@@ -15,8 +15,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.spatial import ConvexHull, cKDTree
 
+from pwm_gym.cameras.camera import check_pose
 from pwm_gym.errors import PwmGymError, look_up
-from pwm_gym.sensing.camera import check_pose
 
 __all__ = ["Registration", "Tracker", "TrackingConfig", "register"]
 

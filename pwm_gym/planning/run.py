@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -10,14 +10,33 @@ import numpy as np
 
 from pwm_gym.errors import PwmGymError
 from pwm_gym.files import load_arrays, save_arrays
-from pwm_gym.scene import Scene
+from pwm_gym.scene import SCHEMA, Scene
 from pwm_gym.scene.layout import Layout
 
 __all__ = ["Run"]
 
+_FORMAT = "pwm_gym.run"
 _FACTS = ("seed", "chunk", "success", "at_reset")
 _ARRAYS = ("actions", "rewards", "plan_seconds", "poses", "predicted", "predicted_rewards")
 _START, _SHOWN = "start.", "shown."
+
+
+@dataclass(frozen=True)
+class _Header:
+    """What a run's file says beside its arrays."""
+
+    format: str
+    schema: int
+    task: str
+    layout: Any
+    seed: int
+    chunk: int
+    success: bool
+    at_reset: bool
+    settings: dict[str, Any]
+    terms: list[str]
+    shown_layout: Any = None
+    assets: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,9 +110,10 @@ class Run:
             f"{prefix}{k}": v for prefix, scene in scenes.items() for k, v in asdict(scene).items() if _is_array(v)
         }
         header = {
-            "format": "pwm_gym.run",
-            "schema": 1,
+            "format": _FORMAT,
+            "schema": SCHEMA,
             "task": self.start.task,
+            "assets": self.start.assets,
             "layout": self.start.layout.to_json(),
             "shown_layout": None if self.shown is None else self.shown.layout.to_json(),
             "seed": int(self.seed),
@@ -116,25 +136,34 @@ class Run:
             PwmGymError: the file is missing, truncated or not a run.
         """
         complaint = "is not a run's file"
-        found, header = load_arrays(path, complaint, PwmGymError, "pwm_gym.run")
-        try:
-            arrays: dict[str, Any] = {name: found[name] for name in _ARRAYS}
-            values, names = found["terms"], header["terms"]
-            facts = {name: header[name] for name in (*_FACTS, "settings")}
-            start = _scene(header["task"], header["layout"], found, _START)
-            told = header.get("shown_layout")
-            shown = None if told is None else _scene(header["task"], told, found, _SHOWN)
-            terms, predicted = ({name: values[i] for i, name in enumerate(names, k)} for k in (0, len(names)))
-        except (KeyError, IndexError, TypeError) as error:
-            raise PwmGymError(f"{path} {complaint} ({error})") from error
-        return cls(start=start, shown=shown, **facts, **arrays, terms=terms, predicted_terms=predicted)
+        found, header = load_arrays(path, complaint, PwmGymError, _FORMAT, _Header)
+        if header.schema > SCHEMA:
+            raise PwmGymError(f"{path} has schema {header.schema}; this version reads up to {SCHEMA}")
+        if missing := [name for name in (*_ARRAYS, "terms") if name not in found]:
+            raise PwmGymError(f"{path} {complaint} (it lacks {', '.join(missing)})")
+        values, names = found["terms"], header.terms
+        if names and values.shape[:1] != (2 * len(names),):
+            raise PwmGymError(f"{path} has terms of shape {values.shape}; expected {2 * len(names)} rows")
+        shown = None if header.shown_layout is None else _scene(header, header.shown_layout, found, _SHOWN)
+        return cls(
+            start=_scene(header, header.layout, found, _START),
+            shown=shown,
+            settings=header.settings,
+            terms=dict(zip(names, values, strict=False)),
+            predicted_terms=dict(zip(names, values[len(names) :], strict=False)),
+            **{name: getattr(header, name) for name in _FACTS},
+            **{name: found[name] for name in _ARRAYS},
+        )
 
 
 def _is_array(value: Any) -> bool:
     return isinstance(value, np.ndarray)
 
 
-def _scene(task: str, layout: list[dict[str, Any]], arrays: dict[str, np.ndarray], prefix: str) -> Scene:
+def _scene(header: _Header, layout: Any, arrays: dict[str, np.ndarray], prefix: str) -> Scene:
     """The scene whose arrays have names that begin with ``prefix``."""
     own: dict[str, Any] = {k.removeprefix(prefix): v for k, v in arrays.items() if k.startswith(prefix)}
-    return Scene(task=task, layout=Layout.from_json(layout), **own)
+    known = {f.name for f in fields(Scene)}
+    if not {"clouds", "poses", "goal"} <= own.keys() <= known:
+        raise PwmGymError(f"a run's scene has arrays {', '.join(sorted(own))}; expected clouds, poses and goal")
+    return Scene(task=header.task, layout=Layout.from_json(layout), assets=header.assets, **own)

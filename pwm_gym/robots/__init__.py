@@ -1,7 +1,8 @@
 """What is known of the robots that tasks drive: kinematic chains and the meaning of actions."""
 
 from pwm_gym.robots.cloud import RobotCloud
-from pwm_gym.robots.control import Control, SerialArm
+from pwm_gym.robots.control import Arm, Channel, Control, SerialArm
 from pwm_gym.robots.kinematics import ArmKinematics
+from pwm_gym.robots.robot import Robot
 
-__all__ = ["ArmKinematics", "Control", "RobotCloud", "SerialArm"]
+__all__ = ["Arm", "ArmKinematics", "Channel", "Control", "Robot", "RobotCloud", "SerialArm"]

@@ -106,7 +106,7 @@ class RobotCloud:
         entities = _name_links(list(links), names or {})
         meshes = {entity: robot.mesh(link, geometry, convex) for entity, link in entities.items()}
         counts = [(name, points if isinstance(points, int) else look_up("entity", name, points)) for name in meshes]
-        layout = Layout.build(counts, effectors=tuple(entities))
+        layout = Layout.build(counts, driven=tuple(entities))
         return cls(robot, entities, joints, meshes, layout, seed)
 
     def poses(self, joints: Tensor | np.ndarray) -> Tensor:

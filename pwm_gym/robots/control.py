@@ -1,38 +1,42 @@
-"""Plain descriptions of an arm and of what the components of an action mean; a checkpoint stores them as JSON."""
+"""What the components of an action mean, and the arms that they move; a checkpoint stores it as JSON."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
-from typing import Any
+from functools import cached_property
+from typing import Any, Literal
 
-__all__ = ["Control", "SerialArm"]
+from pwm_gym.errors import CheckpointError, PwmGymError, unknown_name
+from pwm_gym.scene.joint import Pose7
+from pwm_gym.schema import convert
 
-Pose7 = tuple[float, ...]
+__all__ = ["Arm", "Channel", "ChannelKind", "Control", "SerialArm"]
+
+ChannelKind = Literal["translation", "rotation", "gripper", "finger", "joint"]
+_VECTORS = ("translation", "rotation")
 
 
 @dataclass(frozen=True)
 class SerialArm:
-    """Revolute joints in a row, and the controller that moves the tool at their end.
+    """Revolute joints in a row, with the hand at their end.
 
-    The controller takes an action's first six components as a change of the tool's present pose in the base's frame,
-    solves inverse kinematics for it and drives the joints there; where there is no solution the joints stay.
+    Its controller takes a change of the tool's present pose in the base's frame, solves inverse kinematics for it and
+    drives the joints there; where there is no solution the joints stay.
     """
 
     origins: tuple[Pose7, ...]
-    """Pose (7,) of each joint's frame in the link before it, at angle 0; the joint turns about its z axis."""
+    """Pose (7,) of each joint's frame in the link before it, at angle 0; the joint turns about its z axis. The first
+    one is in the frame of all public poses, so that a second arm's base stands in its first origin."""
     mount: Pose7
-    """Pose (7,) of the end effector's root link in the last joint's frame."""
+    """Pose (7,) of the hand in the last joint's frame."""
     tool: tuple[float, float, float]
-    """Tool centre in the root link's frame, metres."""
+    """Tool centre in the hand's frame, metres."""
     lower: tuple[float, ...]
     """Joint limits, radians."""
     upper: tuple[float, ...]
     rest: tuple[float, ...]
     """Usual joint angles: where inverse kinematics begins when a scene does not tell them."""
-    position_unit: float
-    """Metres per unit of translation."""
-    rotation_unit: float
-    """Radians per unit of rotation, about x, then y, then z; the norm of the three units is clipped to 1."""
 
     @property
     def joints(self) -> int:
@@ -41,25 +45,151 @@ class SerialArm:
 
 
 @dataclass(frozen=True)
-class Control:
-    """What an action's components mean."""
+class Channel:
+    """Components ``start:stop`` of an action that mean one thing."""
 
-    vectors: tuple[tuple[int, int], ...] = ()
-    """Half-open ranges of three components each that are vectors in the base's frame, so that a model can turn them."""
-    arm: SerialArm | None = None
-    """The arm behind the first six components, where it is known."""
+    kind: ChannelKind
+    """"translation" and "rotation" change the tool's pose (three components, in the base's frame); a "gripper" opens
+    (1) and shuts (-1); "finger" and "joint" components are targets of single joints."""
+    start: int
+    stop: int
+    unit: float = 1.0
+    """Metres (radians) per unit; negative where the controller turns the other way."""
+    rest: float | None = 0.0
+    """Value that asks for nothing; None where it is the last value (absolute targets)."""
+    arm: str = ""
+    """Arm that it belongs to, if any."""
+
+    @property
+    def slice(self) -> slice:
+        """Its place in an action."""
+        return slice(self.start, self.stop)
+
+
+@dataclass(frozen=True)
+class Arm:
+    """An arm with its hand."""
+
+    name: str
+    hand: str
+    """Entity at its end: a driven one without a parent."""
+    chain: SerialArm | None = None
+    """Its joints, where they are known; otherwise the hand's response is fitted."""
+    first_joint: int = 0
+    """Where its joints begin in the robot's joint vector."""
+
+    @property
+    def joints(self) -> slice:
+        """Its joints' place in the robot's joint vector."""
+        return slice(self.first_joint, self.first_joint + (self.chain.joints if self.chain else 0))
+
+
+@dataclass(frozen=True)
+class Control:
+    """Meaning of an action: its channels in order, and the arms that they move.
+
+    Raises:
+        PwmGymError: components that no channel or two channels take, a vector that has not three components, a
+            channel of an unknown arm, arms that share a name, a hand or joints.
+
+    Example:
+        >>> control = Control((Channel("translation", 0, 3, unit=0.1), Channel("gripper", 3, 4, rest=1.0)))
+        >>> control.size, control.rest()
+        (4, (0.0, 0.0, 0.0, 1.0))
+    """
+
+    channels: tuple[Channel, ...] = ()
+    arms: tuple[Arm, ...] = ()
+    period: float = 0.05
+    """Seconds per control step."""
+
+    def __post_init__(self) -> None:
+        """Check that channels and arms fit each other."""
+        self._check_arms()
+        end = 0
+        for channel in self.channels:
+            count = channel.stop - channel.start
+            if channel.start != end or count < 1:
+                raise PwmGymError(
+                    f"channel {channel.kind!r} takes components {channel.start} to {channel.stop} of the action; "
+                    f"expected them to begin at {end}"
+                )
+            if channel.kind in _VECTORS and count != 3:
+                raise PwmGymError(f"channel {channel.kind!r} has {count} components; expected 3")
+            if channel.arm and channel.arm not in self.arm_names:
+                raise unknown_name("arm", channel.arm, self.arm_names)
+            end = channel.stop
+
+    def _check_arms(self) -> None:
+        taken: set[int] = set()
+        for what in ("name", "hand"):
+            values = [getattr(arm, what) for arm in self.arms]
+            if len({*values}) < len(values):
+                raise PwmGymError(f"two arms have the same {what}: {', '.join(values)}")
+        for arm in self.arms:
+            joints = {*range(arm.joints.start, arm.joints.stop)}
+            if joints & taken:
+                raise PwmGymError(f"arm {arm.name!r} shares joints {sorted(joints & taken)} with another arm")
+            taken |= joints
+        if not self.period > 0.0:
+            raise PwmGymError(f"period={self.period}; expected more than 0 seconds")
+
+    @property
+    def arm_names(self) -> tuple[str, ...]:
+        """Names of the arms, in order."""
+        return tuple(arm.name for arm in self.arms)
+
+    @property
+    def size(self) -> int:
+        """Number A of an action's components."""
+        return self.channels[-1].stop if self.channels else 0
+
+    @cached_property
+    def kinds(self) -> tuple[ChannelKind, ...]:
+        """Kind of each component (A,)."""
+        return tuple(c.kind for c in self.channels for _ in range(c.start, c.stop))
+
+    def rest(self) -> tuple[float, ...]:
+        """Action (A,) that asks for nothing; 0 where that depends on the last action."""
+        return tuple(c.rest or 0.0 for c in self.channels for _ in range(c.start, c.stop))
+
+    def of_kind(self, *kinds: ChannelKind) -> tuple[Channel, ...]:
+        """The channels of these kinds."""
+        return tuple(c for c in self.channels if c.kind in kinds)
+
+    def of_arm(self, arm: str) -> Iterator[Channel]:
+        """The channels of one arm."""
+        return (c for c in self.channels if c.arm == arm)
+
+    def channel(self, arm: str, kind: ChannelKind) -> Channel | None:
+        """The channel of an arm and a kind, if there is one."""
+        return next((c for c in self.of_arm(arm) if c.kind == kind), None)
 
     def to_json(self) -> dict[str, Any]:
         """Plain values."""
-        return {"vectors": [list(v) for v in self.vectors], "arm": None if self.arm is None else asdict(self.arm)}
+        return asdict(self)
 
     @classmethod
-    def from_json(cls, values: dict[str, Any]) -> Control:
-        """What :meth:`to_json` gave."""
-        arm = values["arm"]
-        vectors = tuple((int(a), int(b)) for a, b in values["vectors"])
-        return cls(vectors, None if arm is None else SerialArm(**{k: _tuples(v) for k, v in arm.items()}))
+    def from_json(cls, values: Any) -> Control:
+        """What :meth:`to_json` gave, or its form of version 0.1.
+
+        Raises:
+            CheckpointError: naming the first thing that does not fit.
+        """
+        return convert(_upgraded(values), cls, CheckpointError, "control")
 
 
-def _tuples(value: Any) -> Any:
-    return tuple(map(_tuples, value)) if isinstance(value, list | tuple) else value
+def _upgraded(values: Any) -> Any:
+    """The present JSON form of a control of version 0.1, which drove one Panda; anything else as it is."""
+    if not isinstance(values, dict) or "vectors" not in values:
+        return values
+    chain = values.get("arm")
+    if not isinstance(chain, dict):
+        return {"channels": []}
+    units = {"translation": chain.pop("position_unit", None), "rotation": chain.pop("rotation_unit", None)}
+    vectors = [
+        {"kind": kind, "start": 3 * k, "stop": 3 * k + 3, "unit": unit, "arm": "arm"}
+        for k, (kind, unit) in enumerate(units.items())
+    ]
+    gripper = {"kind": "gripper", "start": 6, "stop": 7, "rest": 1.0, "arm": "arm"}
+    return {"channels": [*vectors, gripper], "arms": [{"name": "arm", "hand": "hand", "chain": chain}]}

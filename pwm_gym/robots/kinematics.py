@@ -109,14 +109,20 @@ class ArmKinematics(nn.Module):
             joints = torch.add(joints, step, alpha=rate)
         return joints, error[..., :3].norm(dim=-1), rate * step.norm(dim=-1)
 
-    def target(self, root: Tensor, action: Tensor) -> Tensor:
-        """Root link's pose (..., 4, 4) that an action (..., A) asks for when it is at ``root`` (..., 4, 4)."""
-        units = action[..., 3:6]
-        angles = self.arm.rotation_unit * units / units.norm(dim=-1, keepdim=True).clamp_min(1.0)
-        x, y, z = rotation_about(self.axis_parts.to(root), angles).unbind(-3)
-        rotation = x @ y @ z @ root[..., :3, :3]
-        tool = self._tool(root)[..., :3, 3] + self.arm.position_unit * action[..., :3]
-        return make_pose(rotation, tool - rotation @ self.tool.to(root))
+    def target(self, hand: Tensor, translation: Tensor, angles: Tensor | None) -> Tensor:
+        """Pose (..., 4, 4) that the hand at ``hand`` (..., 4, 4) is asked to take.
+
+        Args:
+            hand: its present pose.
+            translation: of the tool (..., 3), metres.
+            angles: turns (..., 3) about x, then y, then z, radians; None keeps the hand's rotation.
+        """
+        rotation = hand[..., :3, :3]
+        if angles is not None:
+            x, y, z = rotation_about(self.axis_parts.to(hand), angles).unbind(-3)
+            rotation = x @ y @ z @ rotation
+        tool = self._tool(hand)[..., :3, 3] + translation
+        return make_pose(rotation, tool - rotation @ self.tool.to(hand))
 
     def limit(self, joints: Tensor) -> Tensor:
         """Joint angles (..., J) within their limits."""

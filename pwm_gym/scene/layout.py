@@ -1,31 +1,20 @@
-"""Which slice of a cloud belongs to which rigid part of the scene."""
+"""Which slice of a cloud belongs to which rigid part of the scene, and how the parts hang on each other."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from pwm_gym.errors import PwmGymError, unknown_name
+from pwm_gym.errors import PwmGymError, SceneError, unknown_name
+from pwm_gym.scene.joint import FREE, IDENTITY, Joint, Pose7
 
-__all__ = ["Entity", "Layout", "Slider"]
+__all__ = ["Entity", "Layout", "Support"]
 
-
-@dataclass(frozen=True)
-class Slider:
-    """Prismatic joint of a robot's link, read from its URDF: the link slides on ``parent`` along one axis."""
-
-    parent: str
-    """Entity that carries the link."""
-    origin: tuple[float, ...]
-    """Pose (7,) of the link in the parent's frame at opening 0 (metres, wxyz)."""
-    axis: tuple[float, float, float]
-    """Unit direction of opening, in the link's own frame at opening 0."""
-    upper: float
-    """Largest opening in metres; the smallest is 0."""
+_EXTENT = 100.0  # metres: half the width of a support that has no edge
 
 
 @dataclass(frozen=True)
@@ -35,9 +24,10 @@ class Entity:
     name: str
     start: int
     stop: int
-    effector: bool = False
-    """Whether the robot drives it (an end-effector link), rather than contact."""
-    slider: Slider | None = None
+    driven: bool = False
+    """Whether the robot's controller moves it, rather than contact."""
+    joint: Joint = FREE
+    """How it hangs on its parent; a hand, which its arm moves, is free."""
 
     @property
     def points(self) -> int:
@@ -49,64 +39,168 @@ class Entity:
         """Its place among the scene's points."""
         return slice(self.start, self.stop)
 
+    @property
+    def articulated(self) -> bool:
+        """Whether contact moves it along a joint: a drawer, a lid."""
+        return self.joint.moves and not self.driven
+
+    @property
+    def loose(self) -> bool:
+        """Whether contact moves it freely."""
+        return self.joint.kind == "free" and not self.driven
+
+
+@dataclass(frozen=True)
+class Support:
+    """A fixed box of the world that has no points: a table, the ground, a wall."""
+
+    origin: Pose7 = IDENTITY
+    """Pose of the box's centre in the base's frame."""
+    half: tuple[float, float, float] = (_EXTENT, _EXTENT, 1.0)
+    """Half its sides, metres."""
+
+    @classmethod
+    def ground(cls, height: float = 0.0) -> Support:
+        """A horizontal plane at ``height`` metres, solid below."""
+        return cls((0.0, 0.0, height - 1.0, 1.0, 0.0, 0.0, 0.0))
+
 
 @dataclass(frozen=True)
 class Layout:
-    """The entities of a task in the order of their points.
+    """The entities of a scene in the order of their points.
+
+    Raises:
+        SceneError: a name twice, a slice that does not follow the one before it, a joint whose parent or whose
+            followed joint is missing, or joints that make a circle.
 
     Example:
-        >>> layout = Layout.build([("hand", 300), ("cube", 300)], effectors=("hand",))
+        >>> layout = Layout.build([("hand", 300), ("cube", 300)], driven=("hand",))
         >>> layout["cube"].slice, layout.points
         (slice(300, 600, None), 600)
     """
 
     entities: tuple[Entity, ...]
+    supports: tuple[Support, ...] = ()
+    """What of the world can be touched."""
+
+    def __post_init__(self) -> None:
+        """Check that the entities fit each other."""
+        start, names = 0, set()
+        for e in self.entities:
+            if e.name in names:
+                raise SceneError(f"two entities are called {e.name!r}")
+            if e.start != start or e.stop <= start:
+                raise SceneError(f"entity {e.name!r} has points {e.start} to {e.stop}; expected to begin at {start}")
+            names.add(e.name)
+            start = e.stop
+        for e in self.entities:
+            self._check_joint(e, names)
+
+    def _check_joint(self, entity: Entity, names: set[str]) -> None:
+        joint, name = entity.joint, entity.name
+        if joint.parent is not None and joint.parent not in names:
+            raise SceneError(
+                f"the joint of {name!r} has parent {joint.parent!r}; expected one of {', '.join(self.names)}"
+            )
+        if joint.mimic is not None and joint.mimic.entity not in names:
+            raise SceneError(f"the joint of {name!r} follows that of {joint.mimic.entity!r}, which is no entity")
+        if joint.mimic is not None and not self[joint.mimic.entity].joint.moves:
+            raise SceneError(f"the joint of {name!r} follows that of {joint.mimic.entity!r}, which does not move")
+        ancestor, seen = joint.parent, [name]
+        while ancestor is not None:
+            if ancestor in seen:
+                raise SceneError(f"joints make a circle: {' on '.join([*seen, ancestor])}")
+            seen.append(ancestor)
+            ancestor = self[ancestor].joint.parent
 
     @classmethod
     def build(
         cls,
         counts: Sequence[tuple[str, int]],
-        effectors: Sequence[str] = (),
-        sliders: dict[str, Slider] | None = None,
+        driven: Sequence[str] = (),
+        joints: Mapping[str, Joint] | None = None,
+        supports: Sequence[Support] = (),
     ) -> Layout:
-        """Layout of named point counts, one slice after the other."""
-        entities, start = [], 0
+        """Layout of named point counts, one slice after the other.
+
+        Args:
+            counts: name and number of points of each entity.
+            driven: names of those that the robot moves.
+            joints: name -> joint; the others are free.
+            supports: what of the world can be touched.
+        """
+        entities, start, known = [], 0, joints or {}
         for name, count in counts:
-            slider = (sliders or {}).get(name)
-            entities.append(Entity(name, start, start + count, name in effectors, slider))
+            entities.append(Entity(name, start, start + count, name in driven, known.get(name, FREE)))
             start += count
-        return cls(tuple(entities))
+        if unknown := sorted({*driven, *known} - {e.name for e in entities}):
+            raise unknown_name("entity", unknown[0], [e.name for e in entities])
+        return cls(tuple(entities), tuple(supports))
 
     def resize(self, points: int) -> Layout:
         """The same entities with ``points`` points in all, divided in the same proportions."""
         if not len(self.entities) <= points <= self.points:
             raise PwmGymError(f"points={points}; expected {len(self.entities)} to {self.points}")
         bounds = [round(e.stop * points / self.points) for e in self.entities]
-        return self._with_counts(map(int, np.diff([0, *bounds])))
+        return self.with_counts(map(int, np.diff([0, *bounds])))
 
     def truncate(self, count: int) -> Layout:
         """The same entities with at most ``count`` points each."""
-        return self._with_counts(min(count, e.points) for e in self.entities)
+        return self.with_counts(min(count, e.points) for e in self.entities)
 
-    def _with_counts(self, counts: Iterable[int]) -> Layout:
-        effectors = [e.name for e in self.entities if e.effector]
-        sliders = {e.name: e.slider for e in self.entities if e.slider}
-        return Layout.build(list(zip(self.names, counts, strict=True)), effectors, sliders)
+    def with_counts(self, counts: Iterable[int]) -> Layout:
+        """The same entities with other numbers of points."""
+        entities, start = [], 0
+        for entity, count in zip(self.entities, counts, strict=True):
+            entities.append(replace(entity, start=start, stop=start + count))
+            start += count
+        return replace(self, entities=tuple(entities))
+
+    def plus(self, others: Iterable[Entity]) -> Layout:
+        """This layout with further entities, whose points follow."""
+        entities = [*self.entities]
+        for other in others:
+            start = entities[-1].stop
+            entities.append(replace(other, start=start, stop=start + other.points))
+        return replace(self, entities=tuple(entities))
 
     @property
     def names(self) -> tuple[str, ...]:
         """Entity names, in order."""
         return tuple(e.name for e in self.entities)
 
-    @property
-    def root(self) -> int:
-        """Position of the end effector's root link: of those that the robot drives, the one that slides on no other."""
-        return next(i for i, e in enumerate(self.entities) if e.effector and e.slider is None)
+    @cached_property
+    def driven(self) -> tuple[int, ...]:
+        """Positions of the entities that the robot moves."""
+        return tuple(i for i, e in enumerate(self.entities) if e.driven)
+
+    @cached_property
+    def hands(self) -> tuple[int, ...]:
+        """Positions of the driven entities that hang on no other: each at the end of an arm."""
+        return tuple(i for i in self.driven if self.entities[i].joint.kind == "free")
+
+    @cached_property
+    def loose(self) -> tuple[int, ...]:
+        """Positions of the entities that contact moves freely."""
+        return tuple(i for i, e in enumerate(self.entities) if e.loose)
+
+    @cached_property
+    def articulated(self) -> tuple[int, ...]:
+        """Positions of the entities that contact moves along a joint, parents first."""
+        found = [i for i, e in enumerate(self.entities) if e.articulated]
+        return tuple(sorted(found, key=self._depth))
+
+    def _depth(self, index: int) -> int:
+        """Number of entities that the one at ``index`` hangs on."""
+        depth, parent = 0, self.entities[index].joint.parent
+        while parent is not None:
+            depth, parent = depth + 1, self[parent].joint.parent
+        return depth
 
     @property
     def points(self) -> int:
         """Number N of points of a scene."""
-        return self.entities[-1].stop
+        return self.entities[-1].stop if self.entities else 0
 
     @cached_property
     def ids(self) -> np.ndarray:
@@ -128,18 +222,18 @@ class Layout:
     def __len__(self) -> int:
         return len(self.entities)
 
-    def to_json(self) -> list[dict[str, Any]]:
+    def to_json(self) -> dict[str, Any]:
         """JSON form, read back by :meth:`from_json`."""
-        return [asdict(e) for e in self.entities]
+        return asdict(self)
 
     @classmethod
-    def from_json(cls, data: list[dict[str, Any]]) -> Layout:
-        """Layout of its JSON form."""
+    def from_json(cls, data: Any) -> Layout:
+        """Layout of its JSON form, or of that of version 0.1 (a list of entities with sliders).
 
-        def entity(item: dict[str, Any]) -> Entity:
-            slider = item.get("slider")
-            if slider is not None:
-                slider = Slider(slider["parent"], tuple(slider["origin"]), tuple(slider["axis"]), slider["upper"])
-            return Entity(item["name"], item["start"], item["stop"], item["effector"], slider)
+        Raises:
+            SceneError: naming the first thing that does not fit.
+        """
+        from pwm_gym.scene.legacy import upgrade_layout
+        from pwm_gym.schema import convert
 
-        return cls(tuple(map(entity, data)))
+        return convert(upgrade_layout(data), cls, SceneError, "layout")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -15,10 +16,24 @@ from pwm_gym.scene.layout import Layout
 from pwm_gym.scene.se3 import matrix_from_pose7
 from pwm_gym.scene.state import RigidState
 
-__all__ = ["Scene", "batch_state"]
+__all__ = ["SCHEMA", "Scene", "batch_state"]
 
+SCHEMA = 2
+"""Of scenes, data sets and checkpoints; files of schema 1 (version 0.1) are read, too."""
+_FORMAT = "pwm_gym.scene"
 _REQUIRED = ("clouds", "poses", "goal")
 _FIELDS = (*_REQUIRED, "joints", "last_action")
+
+
+@dataclass(frozen=True)
+class _Header:
+    """What a scene's file says beside its arrays."""
+
+    format: str
+    schema: int
+    task: str
+    layout: Any
+    assets: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -41,6 +56,8 @@ class Scene:
     control step. Some models and a simulator start from them."""
     last_action: np.ndarray | None = None
     """The action (A,) that led here, if any: it tells whether the gripper was commanded shut."""
+    assets: tuple[str, ...] = ()
+    """Name of each entity's asset (E,), where a task's objects differ between episodes; a simulator starts from it."""
 
     def validate(self, task: str, layout: Layout, goal_size: int) -> Scene:
         """This scene, checked against what ``task`` expects.
@@ -53,6 +70,10 @@ class Scene:
         if self.layout.names != layout.names:
             raise SceneError(f"the scene's entities are {self.layout.names}; expected {layout.names}")
         counts, wanted = ([e.points for e in x] for x in (self.layout, layout))
+        if self.assets and len(self.assets) != len(layout):
+            raise SceneError(
+                f"the scene names {len(self.assets)} assets; expected one for each of {len(layout)} entities"
+            )
         if any(c < w for c, w in zip(counts, wanted, strict=True)):
             raise SceneError(f"the scene's point counts are {counts}; expected at least {wanted}")
         shapes: dict[str, tuple[int, ...]] = {
@@ -84,7 +105,13 @@ class Scene:
     def save(self, path: str | Path) -> None:
         """Write the scene to an ``.npz`` file (arrays and JSON text, no pickle)."""
         arrays = {k: v for k in _FIELDS if (v := getattr(self, k)) is not None}
-        header = {"format": "pwm_gym.scene", "schema": 1, "task": self.task, "layout": self.layout.to_json()}
+        header = {
+            "format": _FORMAT,
+            "schema": SCHEMA,
+            "task": self.task,
+            "layout": self.layout.to_json(),
+            "assets": self.assets,
+        }
         save_arrays(path, arrays, header)
 
     @classmethod
@@ -97,11 +124,13 @@ class Scene:
         """
         if not Path(path).exists():
             raise FileNotFoundError(f"{path} does not exist; expected a scene file")
-        found, header = load_arrays(path, "is not a scene file", SceneError, "pwm_gym.scene")
+        found, header = load_arrays(path, "is not a scene file", SceneError, _FORMAT, _Header)
+        if header.schema > SCHEMA:
+            raise SceneError(f"{path} has schema {header.schema}; this version reads up to {SCHEMA}")
         arrays = {k: found[k] for k in _FIELDS if k in found}
         if missing := [k for k in _REQUIRED if k not in arrays]:
             raise SceneError(f"{path} is not a scene file (it lacks {', '.join(missing)})")
-        return cls(task=header["task"], layout=Layout.from_json(header["layout"]), **arrays)
+        return cls(task=header.task, layout=Layout.from_json(header.layout), assets=header.assets, **arrays)
 
 
 def batch_state(scenes: list[Scene], device: torch.device | str = "cpu") -> RigidState:

@@ -52,6 +52,9 @@ class Simulator(Protocol):
     def outcome(self) -> SimOutcome:
         """Reward, success and grasp of the present instant."""
 
+    def assets(self) -> tuple[str, ...]:
+        """Name of each entity's asset in this episode (E,): its own name, where it is always the same."""
+
     def poses(self) -> np.ndarray:
         """Entity poses (E, 7), float64: xyz in metres, unit quaternion wxyz."""
 

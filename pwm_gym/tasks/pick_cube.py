@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,9 +12,9 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from pwm_gym.costs import Points, register_grasp, register_success, register_terms, terms
-from pwm_gym.scene import Layout
+from pwm_gym.robots import panda
+from pwm_gym.scene import Layout, Support
 from pwm_gym.sim import Simulator
-from pwm_gym.tasks import panda
 from pwm_gym.tasks.registry import Task, register_task
 
 __all__ = ["PICK_CUBE", "PickCubeExpert"]
@@ -220,7 +220,7 @@ class PickCubeExpert:
         """Expert of a random speed and hover height."""
         return cls(speed=rng.uniform(0.0105, 0.018), hover=rng.uniform(0.06, 0.10))
 
-    def act(self, poses: np.ndarray, goal: np.ndarray) -> np.ndarray:
+    def act(self, poses: np.ndarray, goal: np.ndarray, assets: Sequence[str] = ()) -> np.ndarray:
         """Action (7,) for poses (4, 7) of hand, fingers and cube, and the cube's goal (3,)."""
         tool, cube = panda.tool_pose(poses), poses[3]
         reach = cube[:3] - tool[:3]
@@ -258,7 +258,7 @@ def _yaw_error(tool: np.ndarray, cube: np.ndarray) -> float:
 def _simulator() -> Simulator:
     from pwm_gym.sim.maniskill import ManiSkillSimulator
 
-    return ManiSkillSimulator("PickCube-v1", {**panda.BODIES, "cube": "cube"}, goal="goal_site")
+    return ManiSkillSimulator("PickCube-v1", {**panda.PANDA.links, "cube": "cube"}, goal="goal_site")
 
 
 PICK_CUBE = register_task(
@@ -267,17 +267,13 @@ PICK_CUBE = register_task(
         description="Lift the cube from the table to a goal position in the air.",
         layout=Layout.build(
             [("hand", 300), ("left_gripper", 300), ("right_gripper", 300), ("cube", 300)],
-            effectors=panda.EFFECTORS,
-            sliders=panda.SLIDERS,
+            driven=panda.PANDA.driven,
+            joints=panda.PANDA.joints,
+            supports=[Support.ground()],
         ),
-        action_size=7,
         goal_size=3,
-        action_names=panda.ACTION_NAMES,
-        control=panda.CONTROL,
-        arm=panda.ARM,
-        object="cube",
+        robot=panda.PANDA,
         simulator=_simulator,
-        robot=panda.robot_cloud,
         expert=PickCubeExpert.sample,
         cost="pick_cube",
         plan_cost="pick_cube_plan",

@@ -2,35 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
 from pwm_gym.errors import look_up
-from pwm_gym.robots import Control, RobotCloud
+from pwm_gym.robots import Control, Robot
 from pwm_gym.scene import Layout
 from pwm_gym.sim import Simulator
 
-__all__ = ["TASKS", "Arm", "Expert", "Task", "get_task", "register_task"]
+__all__ = ["TASKS", "Expert", "Task", "get_task", "register_task"]
 
 
 class Expert(Protocol):
-    """A scripted demonstrator that reads poses and keeps no memory, so that it resumes from any scene."""
+    """A scripted demonstrator that reads a scene and keeps no memory, so that it resumes from any scene."""
 
-    def act(self, poses: np.ndarray, goal: np.ndarray) -> np.ndarray:
-        """Action (A,) in [-1, 1] for entity poses (E, 7) and goal (G,) in the base's frame."""
+    def act(self, poses: np.ndarray, goal: np.ndarray, assets: Sequence[str] = ()) -> np.ndarray:
+        """Action (A,) in [-1, 1].
 
-
-@dataclass(frozen=True)
-class Arm:
-    """One end effector as the tasks' scripts drive it."""
-
-    tool: Callable[[np.ndarray], np.ndarray]
-    """Entity poses (E, 7) -> tool centre pose (7,)."""
-    action: Callable[[np.ndarray, np.ndarray, float], np.ndarray]
-    """Translation (3,) in metres, rotation vector (3,) in radians, gripper in [-1, 1] -> action (A,)."""
+        Args:
+            poses: entity poses (E, 7) in the base's frame.
+            goal: (G,), as the task defines it.
+            assets: name of each entity's asset (E,), where a task's objects differ between episodes.
+        """
 
 
 @dataclass(frozen=True)
@@ -39,17 +35,10 @@ class Task:
 
     name: str
     description: str
+    robot: Robot
     layout: Layout
-    action_size: int
-    goal_size: int
-    action_names: tuple[str, ...]
-    control: Control
-    arm: Arm
-    object: str
-    """Entity that is to be moved."""
+    """The robot's links first, then the task's own entities."""
     simulator: Callable[[], Simulator]
-    robot: Callable[[], RobotCloud]
-    """The robot's links from its joint angles, in the order of the simulator's joints."""
     expert: Callable[[np.random.Generator], Expert]
     cost: str
     """Registered cost that ports the simulator's own shaped reward."""
@@ -59,8 +48,25 @@ class Task:
     """Registered success rule."""
     grasp: str
     """Registered grasp rule."""
+    goal_size: int = 0
+    """G; 0 where the task has no goal beside its objects."""
     cloud_seed: int = 0
     max_episode_steps: int = 100
+
+    @property
+    def control(self) -> Control:
+        """What an action's components mean."""
+        return self.robot.control
+
+    @property
+    def action_size(self) -> int:
+        """A."""
+        return self.control.size
+
+    @property
+    def objects(self) -> tuple[str, ...]:
+        """Entities that contact moves, in order; the first is the one whose error tables report first."""
+        return tuple(e.name for e in self.layout if e.loose or e.articulated)
 
 
 TASKS: dict[str, Task] = {}

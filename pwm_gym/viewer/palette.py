@@ -42,7 +42,7 @@ def entity_colors(layout: Layout, color: Color = PREDICTED) -> np.ndarray:
     colors = np.empty((layout.points, 3), dtype=np.uint8)
     links = objects = 0
     for entity in layout:
-        if entity.effector:
+        if entity.driven:
             shade = _EFFECTOR_TINTS[min(links, 1)]
             links += 1
         else:

@@ -2,16 +2,16 @@ import numpy as np
 import pytest
 import torch
 
+from pwm_gym.cameras.viewpoints import CAMERA
 from pwm_gym.data.partial import PARTIAL_POINTS, PartialWindows, choose_visible, visibility
 from pwm_gym.dynamics import build_model
-from pwm_gym.dynamics.training import TrainConfig, rollout_loss
 from pwm_gym.errors import DatasetError
 from pwm_gym.evaluation import evaluate_rollouts, predict
 from pwm_gym.evaluation.rollouts import observed_start
 from pwm_gym.robots import Control
 from pwm_gym.scene.se3 import matrix_from_pose7
 from pwm_gym.tasks import get_task
-from pwm_gym.tasks.cameras import CAMERA
+from pwm_gym.training.losses import TrainConfig, rollout_loss
 
 
 @pytest.fixture(scope="module")

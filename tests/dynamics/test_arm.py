@@ -2,8 +2,8 @@ import pytest
 import torch
 
 from pwm_gym.data import Windows
-from pwm_gym.dynamics.arm import ArmResponse
-from pwm_gym.dynamics.compact import CompactConfig, CompactModel
+from pwm_gym.dynamics.compact.arm import ArmResponse
+from pwm_gym.dynamics.compact.model import CompactConfig, CompactModel
 from pwm_gym.scene import batch_state
 from pwm_gym.scene.se3 import make_pose, rotation_from_vector
 from pwm_gym.tasks import get_task

@@ -2,7 +2,7 @@ import pytest
 import torch
 
 from pwm_gym.dynamics import WorldModel, build_model
-from pwm_gym.dynamics.baselines import BaselineConfig
+from pwm_gym.dynamics.baselines.linear import BaselineConfig
 from pwm_gym.errors import CheckpointError, UnknownNameError
 from pwm_gym.robots import Control
 from pwm_gym.scene import PointState, RigidState

@@ -4,8 +4,8 @@ import pytest
 import torch
 
 from pwm_gym.dynamics import CompactConfig, CompactModel, WorldModel, rollout
-from pwm_gym.dynamics.compact import _FLIGHT, _Block, _gate
-from pwm_gym.dynamics.contact import FALL, ContactFeatures
+from pwm_gym.dynamics.compact.contact import FALL, ContactFeatures
+from pwm_gym.dynamics.compact.model import _FLIGHT, _Block, _gate
 from pwm_gym.errors import PwmGymError
 from pwm_gym.robots import Control
 from pwm_gym.scene import Layout, PointState, RigidState

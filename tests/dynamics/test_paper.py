@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from pwm_gym.dynamics.model import WorldModel, rollout
-from pwm_gym.dynamics.paper import PaperConfig, PaperModel
+from pwm_gym.dynamics.paper.model import PaperConfig, PaperModel
 from pwm_gym.scene import Layout, PointState
 
 SMALL = PaperConfig(
@@ -21,7 +21,7 @@ SMALL = PaperConfig(
     mlp_ratio=2,
     grid_size=0.01,
 )
-LAYOUT = Layout.build([("hand", 48), ("finger", 32), ("cube", 48)], effectors=("hand", "finger"))
+LAYOUT = Layout.build([("hand", 48), ("finger", 32), ("cube", 48)], driven=("hand", "finger"))
 
 
 @pytest.fixture
@@ -70,7 +70,7 @@ def pick_cube():
         ((0.04, 0.04, 0.04), (0.05, 0.02, 0.02)),
     ]
     names = ("hand", "left_gripper", "right_gripper", "cube")
-    layout = Layout.build([(n, 300) for n in names], effectors=names[:3])
+    layout = Layout.build([(n, 300) for n in names], driven=names[:3])
     return layout, torch.cat([box_surface(*box, 300, rng) for box in boxes]).unsqueeze(0)
 
 

@@ -5,10 +5,10 @@ import pytest
 import torch
 import torch.nn.functional as F
 
-from pwm_gym.dynamics.ptv3.layers import DropPath, GridPool, PatchAttention, PositionConv
-from pwm_gym.dynamics.ptv3.level import Level
-from pwm_gym.dynamics.ptv3.network import PointTransformer, PTv3Config
-from pwm_gym.dynamics.ptv3.serialization import CURVES, encode, hilbert, merge_duplicates, z_order
+from pwm_gym.dynamics.paper.ptv3.layers import DropPath, GridPool, PatchAttention, PositionConv
+from pwm_gym.dynamics.paper.ptv3.level import Level
+from pwm_gym.dynamics.paper.ptv3.network import PointTransformer, PTv3Config
+from pwm_gym.dynamics.paper.ptv3.serialization import CURVES, encode, hilbert, merge_duplicates, z_order
 from pwm_gym.errors import PwmGymError
 
 TINY = PTv3Config(

@@ -1,11 +1,12 @@
 import pytest
 import torch
 
-from pwm_gym.data import Windows, fit_error
+from pwm_gym.data import Windows
 from pwm_gym.dynamics import build_model, rollout
-from pwm_gym.dynamics.uncertainty import ErrorHead
+from pwm_gym.dynamics.compact.uncertainty import ErrorHead
 from pwm_gym.scene import batch_state, stack
 from pwm_gym.tasks import get_task
+from pwm_gym.training import fit_error
 
 TASK = get_task("PickCube")
 SETTINGS = {"points": 8, "point_width": 16, "width": 32, "blocks": 1, "arm_width": 16}

@@ -3,11 +3,11 @@ import pytest
 import trimesh
 from scipy import ndimage
 
+from pwm_gym.cameras import DepthCamera, RayCaster
+from pwm_gym.cameras.sensor import get_sensor
 from pwm_gym.errors import PwmGymError
 from pwm_gym.perception.cleaning import Cleaning, clean, clusters, depth_edges, inliers, median_depth
 from pwm_gym.scene import Layout
-from pwm_gym.sensing import DepthCamera, RayCaster
-from pwm_gym.sensing.sensor import get_sensor
 
 CAMERA = DepthCamera.looking((0.95, 0.0, 0.5), (0.0, 0.0, 0.1), fov=42.0)
 LAYOUT = Layout.build([("ball", 100), ("box", 100), ("rod", 100), ("wall", 100)])

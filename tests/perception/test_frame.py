@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from pwm_gym.cameras import DepthCamera
 from pwm_gym.errors import PwmGymError
 from pwm_gym.perception import Frame, load_frames
-from pwm_gym.sensing import DepthCamera
 
 CAMERA = DepthCamera.looking((0.6, 0.0, 0.5), (0.0, 0.0, 0.0), width=8, height=6)
 

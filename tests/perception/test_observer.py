@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 import torch
 
+from pwm_gym.cameras import RayCaster
+from pwm_gym.cameras.viewpoints import CAMERA
 from pwm_gym.completion import Completion, HullCompleter
 from pwm_gym.errors import SceneError
 from pwm_gym.perception import Frame, IdSegmenter, MaskSegmenter, SceneObserver
 from pwm_gym.perception.observer import _upright_frame
 from pwm_gym.scene import Layout, batch_state, sample_clouds
 from pwm_gym.scene.se3 import matrix_from_pose7
-from pwm_gym.sensing import RayCaster
 from pwm_gym.tasks import get_task
-from pwm_gym.tasks.cameras import CAMERA
 
 TASK = get_task("PickCube")
 VIEW = CAMERA.resize(2)
@@ -141,7 +141,7 @@ def test_a_first_view_that_does_not_do_is_named(world, look, change, message):
 
 
 def test_a_robot_without_a_link_is_named(world):
-    layout = Layout.build([("arm", 10), ("cube", 10)], effectors=("arm",))
+    layout = Layout.build([("arm", 10), ("cube", 10)], driven=("arm",))
     with pytest.raises(SceneError, match="no cloud of arm; it has hand, left_gripper, right_gripper"):
         SceneObserver("PickCube", layout, TASK.robot(), IdSegmenter(layout), HullCompleter())
 

@@ -14,10 +14,10 @@ import torch
 import torch.nn.functional as F
 from safetensors.torch import load_file, save_file
 
+from pwm_gym.cameras import DepthCamera
 from pwm_gym.errors import PwmGymError
 from pwm_gym.perception import Frame, HeightGate, Sam3Segmenter, Segmenter, sam3
 from pwm_gym.perception.sam3 import _prepare
-from pwm_gym.sensing import DepthCamera
 
 CAMERA = DepthCamera.looking((0.6, 0.0, 0.5), (0.0, 0.0, 0.0), width=64, height=48)
 PROMPTS = {"cube": "red cube", "mug": "a blue mug"}

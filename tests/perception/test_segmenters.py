@@ -2,10 +2,10 @@ import numpy as np
 import pytest
 import trimesh
 
+from pwm_gym.cameras import DepthCamera, RayCaster
 from pwm_gym.errors import PwmGymError
 from pwm_gym.perception import Frame, HeightGate, IdSegmenter, MaskSegmenter, Segmenter
 from pwm_gym.scene import Layout
-from pwm_gym.sensing import DepthCamera, RayCaster
 
 LAYOUT = Layout.build([("ball", 200), ("box", 200)])
 CAMERA = DepthCamera.looking((0.5, -0.3, 0.5), (0.0, 0.0, 0.0), fov=50.0, width=96, height=64)

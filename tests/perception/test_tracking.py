@@ -5,10 +5,10 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
+from pwm_gym.cameras import DepthCamera, RayCaster
 from pwm_gym.errors import PwmGymError, UnknownNameError
 from pwm_gym.perception.tracking import Registration, Tracker, TrackingConfig, register
 from pwm_gym.scene import Layout, sample_surface
-from pwm_gym.sensing import DepthCamera, RayCaster
 
 CAMERA = DepthCamera.looking((0.9, -0.45, 0.55), (0.45, 0.0, 0.12), fov=40.0)
 EYE = CAMERA.pose[:3, 3]

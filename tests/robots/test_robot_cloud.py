@@ -5,10 +5,12 @@ import trimesh
 
 from pwm_gym.errors import PwmGymError, UnknownNameError
 from pwm_gym.robots.cloud import RobotCloud
+from pwm_gym.robots.panda import PANDA
 from pwm_gym.scene import Scene
 from pwm_gym.scene.se3 import matrix_from_pose7
 from pwm_gym.tasks import get_task
-from pwm_gym.tasks.panda import BODIES, CONTROL
+
+BODIES, CONTROL = PANDA.links, PANDA.control
 
 TASK = get_task("PickCube")
 URDF = """<?xml version="1.0" ?>
@@ -98,7 +100,7 @@ def simulated(simulator, joints):
 def test_agrees_with_the_simulators_links(panda, simulator):
     joints = configurations(50)
     expected, poses = simulated(simulator, joints), panda.poses(torch.as_tensor(joints).double())
-    assert panda.layout.names == TASK.layout.names[:3] and all(e.effector for e in panda.layout)
+    assert panda.layout.names == TASK.layout.names[:3] and all(e.driven for e in panda.layout)
     assert (expected[..., :3, 3] - poses[..., :3, 3]).norm(dim=-1).max() < 1e-4
     # chord of the rotations' difference, which is exact where the angle's arc cosine is not
     chord = (expected[..., :3, :3] - poses[..., :3, :3]).flatten(-2).norm(dim=-1) / 2**0.5

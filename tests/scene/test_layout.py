@@ -8,7 +8,7 @@ from pwm_gym.scene import Layout, Slider
 
 SLIDER = Slider("hand", (0.0, 0.0, 0.1, 1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0), 0.04)
 LAYOUT = Layout.build(
-    [("hand", 30), ("finger", 20), ("cube", 50)], effectors=("hand", "finger"), sliders={"finger": SLIDER}
+    [("hand", 30), ("finger", 20), ("cube", 50)], driven=("hand", "finger"), sliders={"finger": SLIDER}
 )
 
 

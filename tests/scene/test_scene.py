@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 from pwm_gym.errors import SceneError
 from pwm_gym.scene import Layout, Scene, batch_state
 
-LAYOUT = Layout.build([("hand", 20), ("cube", 10)], effectors=("hand",))
+LAYOUT = Layout.build([("hand", 20), ("cube", 10)], driven=("hand",))
 
 
 @pytest.fixture

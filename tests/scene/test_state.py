@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 from pwm_gym.scene import EntityPoints, Layout, PointState, RigidState, State, pose_features, stack
 from pwm_gym.scene.se3 import make_pose, rotation_from_vector
 
-LAYOUT = Layout.build([("hand", 40), ("finger", 24), ("cube", 30)], effectors=("hand", "finger"))
+LAYOUT = Layout.build([("hand", 40), ("finger", 24), ("cube", 30)], driven=("hand", "finger"))
 
 
 @pytest.fixture

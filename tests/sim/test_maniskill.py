@@ -6,12 +6,12 @@ import torch
 
 from pwm_gym.dynamics.response import EndEffector
 from pwm_gym.errors import SceneError
+from pwm_gym.robots.panda import tool_pose
 from pwm_gym.scene import Scene
 from pwm_gym.scene.se3 import matrix_from_pose7
 from pwm_gym.sim import SimOutcome, Simulator
 from pwm_gym.sim.headless import allow_headless
 from pwm_gym.tasks import get_task
-from pwm_gym.tasks.panda import tool_pose
 
 TASK = get_task("PickCube")
 CUBE = TASK.layout.index("cube")

@@ -7,12 +7,12 @@ from pwm_gym.tasks import TASKS, get_task, register_task
 
 @pytest.mark.parametrize("task", TASKS.values(), ids=TASKS)
 def test_a_tasks_parts_fit_together(task):
-    assert len(task.action_names) == task.action_size
-    assert task.object in task.layout.names and not task.layout[task.object].effector
+    assert len(task.robot.action_names) == task.action_size
+    assert task.objects[0] in task.layout.names and not task.layout[task.objects[0]].effector
     assert {task.cost, task.plan_cost} <= set(COSTS)
     assert task.success in SUCCESSES and task.grasp in GRASPS
     assert all(b - a == 3 and b <= task.action_size for a, b in task.control.vectors)
-    roots = [e.name for e in task.layout if e.effector and e.slider is None]
+    roots = [e.name for e in task.layout if e.driven and not e.joint.moves]
     assert all(e.slider.parent in roots for e in task.layout if e.slider)
     assert task.description and task.max_episode_steps > 0
 

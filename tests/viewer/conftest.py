@@ -9,7 +9,7 @@ from pwm_gym.viewer import TwinRecord
 def record():
     """Ten steps of a small hand and cube; the prediction drifts by 1 mm a step."""
     generator = np.random.default_rng(0)
-    layout = Layout.build([("hand", 40), ("cube", 20)], effectors=("hand",))
+    layout = Layout.build([("hand", 40), ("cube", 20)], driven=("hand",))
     cloud = np.concatenate([generator.uniform(-0.05, 0.05, (40, 3)), generator.uniform(-0.02, 0.02, (20, 3))])
     path = np.linspace([0.55, -0.1, 0.1], [0.65, 0.1, 0.2], 10)
     true = cloud + path[:, None]

@@ -118,7 +118,7 @@ def test_a_frame_is_fast_enough_for_an_environment():
 
 def test_entities_have_tints_of_one_hue():
     effectors = ("hand", "left_gripper", "right_gripper")
-    layout = Layout.build([(n, 2) for n in (*effectors, "cube")], effectors=effectors)
+    layout = Layout.build([(n, 2) for n in (*effectors, "cube")], driven=effectors)
     colors = entity_colors(layout, TRUE)
     assert colors.shape == (8, 3)
     assert colors.dtype == np.uint8

@@ -1,0 +1,208 @@
+"""Collection of episodes in parallel processes: resumable, crash-safe, the same data for any number of workers."""
+
+from __future__ import annotations
+
+import json
+import multiprocessing as mp
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+from tqdm import tqdm
+
+from pwm_gym.collection.behaviours import Behaviour, Demonstration, OnPolicy, Practice
+from pwm_gym.data.dataset import read_header
+from pwm_gym.data.episodes import KINDS, Episode, read_shard, write_shard
+from pwm_gym.dynamics.checkpoint import load_checkpoint, resolve
+from pwm_gym.errors import DatasetError
+from pwm_gym.files import write_atomically
+from pwm_gym.planning import Agent
+from pwm_gym.scene import sample_clouds
+from pwm_gym.seeds import RANGES
+from pwm_gym.sim import Simulator
+from pwm_gym.tasks import Task, get_task
+
+__all__ = ["SCHEMA", "CollectConfig", "collect", "record_episode"]
+
+SCHEMA = 1
+_EXPERT_STEPS = 120  # a demonstration that has not succeeded by then ends; the slowest expert takes about 110
+_PRACTICE_STEPS = 80
+_PLANNED_STEPS = 60
+_KINDS = ("demonstration", "practice", "on_policy")
+
+
+@dataclass(frozen=True)
+class CollectConfig:
+    """What to collect."""
+
+    task: str = "PickCube"
+    """Registered task."""
+    out: Path = Path("data-sets/PickCube")
+    """Folder of the data set; a run that was killed goes on where it was."""
+    episodes: int = 1000
+    """Training episodes; validation and test get a tenth as many each, at least ``held_out``."""
+    held_out: int = 20
+    """Episodes of validation, and of test, at least."""
+    practice: float = 0.5
+    """Share of practice episodes; what is left of both shares are demonstrations."""
+    on_policy: float = 0.0
+    """Share of training episodes that a planner runs in the simulator with ``checkpoint``; it succeeds sooner than the
+    expert, so that they are short, but planning each takes half a minute."""
+    checkpoint: str = "default"
+    """Whose model plans the on-policy episodes: a folder or a shipped checkpoint's name."""
+    offset: int = 0
+    """First seed of each split, so that several data sets of a task share none."""
+    randomise: float = 0.2
+    """Share of demonstrations that switch to random actions at a random step (the paper's 20 %)."""
+    workers: int = 2
+    """Processes."""
+    shard: int = 20
+    """Episodes a file."""
+
+
+@dataclass(frozen=True)
+class _Job:
+    path: Path
+    seeds: range
+    kind: str
+    """"demonstration", "practice" or "on_policy"."""
+    config: CollectConfig
+
+
+def collect(config: CollectConfig, progress: bool = True) -> Path:
+    """Collect a data set into ``config.out`` and return that folder.
+
+    Shards that exist and are whole are kept, so a killed run resumes; truncated ones are collected again.
+
+    Raises:
+        DatasetError: the folder holds a data set of another task or configuration.
+    """
+    task = get_task(config.task)
+    _write_header(config, task)
+    jobs = [job for job in _jobs(config) if not _is_whole(job, task)]
+    total = sum(len(job.seeds) for job in jobs)
+    with tqdm(total=total, unit="episode", disable=not progress, desc=f"collect {task.name}") as bar:
+        for count in _run(jobs, config.workers):
+            bar.update(count)
+    return config.out
+
+
+def _write_header(config: CollectConfig, task: Task) -> None:
+    settings = {k: v for k, v in asdict(config).items() if k not in ("out", "workers", "episodes", "held_out")}
+    header = {
+        "format": "pwm_gym.dataset",
+        "schema": SCHEMA,
+        "settings": settings,
+        "layout": task.layout.to_json(),
+        "kinds": list(KINDS),
+    }
+    path = config.out / "dataset.json"
+    if path.exists():
+        found = read_header(config.out)["settings"]
+        if found != settings:
+            raise DatasetError(f"{config.out} was collected with {found}; expected {settings}")
+        return
+    simulator = task.simulator()
+    clouds = sample_clouds(simulator.meshes(), task.layout, task.cloud_seed)
+    simulator.close()
+    header["clouds"] = clouds.tolist()
+    write_atomically(path, json.dumps(header).encode())
+
+
+def _jobs(config: CollectConfig) -> Iterator[_Job]:
+    """Shards of all splits; each kind takes seeds of its own third of a split."""
+    held_out = max(config.held_out, config.episodes // 10)
+    counts = {"train": config.episodes, "validation": held_out, "test": held_out}
+    for split, count in counts.items():
+        planned = round(count * config.on_policy) if split == "train" else 0
+        practice = round(count * config.practice)
+        third = len(RANGES[split]) // len(_KINDS)
+        for place, (kind, number) in enumerate(
+            zip(_KINDS, (count - practice - planned, practice, planned), strict=True)
+        ):
+            seeds = RANGES[split][place * third + config.offset :][:number]
+            for k in range(0, number, config.shard):
+                path = config.out / f"{split}-{kind}-{k // config.shard:05d}.npz"
+                yield _Job(path, seeds[k : k + config.shard], kind, config)
+
+
+def _is_whole(job: _Job, task: Task) -> bool:
+    try:
+        return len(read_shard(job.path, task.name)) == len(job.seeds)
+    except DatasetError:
+        return False
+
+
+def _run(jobs: list[_Job], workers: int) -> Iterator[int]:
+    if workers <= 1 or len(jobs) <= 1:
+        yield from map(_collect_shard, jobs)
+        return
+    with mp.get_context("spawn").Pool(min(workers, len(jobs)), initializer=_one_thread) as pool:
+        yield from pool.imap_unordered(_collect_shard, jobs)
+
+
+def _one_thread() -> None:
+    import torch
+
+    torch.set_num_threads(1)
+
+
+_SIMULATORS: dict[str, Simulator] = {}  # one a process and task: making one takes seconds
+
+
+def _collect_shard(job: _Job) -> int:
+    task = get_task(job.config.task)
+    if task.name not in _SIMULATORS:
+        _SIMULATORS[task.name] = task.simulator()
+    simulator = _SIMULATORS[task.name]
+
+    limits = {"demonstration": _EXPERT_STEPS, "practice": _PRACTICE_STEPS, "on_policy": _PLANNED_STEPS}
+    behaviour = _behaviours(job, task)
+    episodes = [record_episode(simulator, seed, behaviour, limits[job.kind]) for seed in job.seeds]
+    write_shard(job.path, episodes, {"format": "pwm_gym.episodes", "schema": SCHEMA, "task": task.name})
+    return len(episodes)
+
+
+def _behaviours(job: _Job, task: Task) -> Callable[[int], Behaviour]:
+    """Who acts in the episode of a seed."""
+
+    def rng(seed: int) -> np.random.Generator:
+        return np.random.default_rng([seed, _KINDS.index(job.kind)])
+
+    if job.kind == "practice":
+        return lambda seed: Practice(task, rng(seed))
+    if job.kind == "demonstration":
+        return lambda seed: Demonstration(task, rng(seed), randomise=job.config.randomise)
+    checkpoint = load_checkpoint(resolve(job.config.checkpoint, task.name), task.name)
+    agent = Agent(checkpoint.model, task.name)
+    clouds = np.asarray(json.loads((job.config.out / "dataset.json").read_text())["clouds"], np.float32)
+    return lambda seed: OnPolicy(task, agent, clouds, seed)
+
+
+def record_episode(simulator: Simulator, seed: int, make: Callable[[int], Behaviour], limit: int) -> Episode:
+    """One episode of at most ``limit`` steps from ``seed``; at least three, so that it has both velocities."""
+    simulator.reset(seed)
+    behaviour = make(seed)
+    poses, joints, actions, outcomes = [simulator.poses()], [simulator.joints()], [], []
+    for step in range(limit):
+        action = behaviour.act(simulator)
+        outcome = simulator.step(action)
+        actions.append(action)
+        outcomes.append(outcome)
+        poses.append(simulator.poses())
+        joints.append(simulator.joints())
+        if behaviour.done(outcome.success) and step >= 2:
+            break
+    return Episode(
+        poses=np.asarray(poses, np.float32),
+        joints=np.asarray(joints, np.float32),
+        actions=np.asarray(actions, np.float32),
+        rewards=np.array([o.reward for o in outcomes], np.float32),
+        success=np.array([o.success for o in outcomes]),
+        grasped=np.array([o.grasped for o in outcomes]),
+        goal=simulator.goal(),
+        kind=KINDS.index(behaviour.kind),
+        seed=seed,
+        switch=behaviour.switch,
+    )

@@ -1,0 +1,222 @@
+"""Planning success of models and planners, from one look an episode to a look at every step (paper, section 4.2)."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import torch
+
+from pwm_gym.completion import SHIPPED
+from pwm_gym.data import load_split
+from pwm_gym.data.partial import PartialView
+from pwm_gym.dynamics import WorldModel, load_checkpoint, resolve
+from pwm_gym.errors import look_up
+from pwm_gym.evaluation.planning import load_runs, planning_table, run_episodes, save_runs
+from pwm_gym.evaluation.record import describe_commit
+from pwm_gym.experiments.tables import row_folder, trained
+from pwm_gym.files import write_atomically
+from pwm_gym.planning import Agent, Run, SamplingConfig, get_planner_config
+from pwm_gym.scene import Scene
+from pwm_gym.seeds import seed_range
+from pwm_gym.sim.model import SimulatorModel
+from pwm_gym.tasks import Task, get_task
+from pwm_gym.training import fit_baseline
+
+__all__ = ["CHUNKS", "PLANNING_TABLES", "Member", "PlanningTable", "run_planning_table"]
+
+CHUNKS = {"closed loop": 1, "chunks of 20": 20, "chunks of 50": 50, "open loop": 0}
+"""Name -> actions between two looks; 0 looks once."""
+
+_EPISODES, _SLOW_EPISODES, _FULL_EPISODES = 20, 5, 100
+_MAX_STEPS, _SLOW_MAX_STEPS = 100, 50
+
+
+@dataclass(frozen=True)
+class Member:
+    """A model that is planned in, and the planner."""
+
+    name: str
+    kind: str
+    """"checkpoint", "row" (of the table of rollouts), "baseline" (without learning) or "simulator"."""
+    source: str
+    """The checkpoint, the row or the baseline."""
+    slow: bool = False
+    """Whether it plans fewer and shorter episodes."""
+    samples: int | None = None
+    """Action sequences of a plan; None takes as many as the planner's settings say."""
+    partial: bool = False
+    """Whether it sees what one camera sees."""
+    planner: str = "mppi"
+    """Registered planner."""
+    observation: str = "complete"
+    """What the environment shows: "complete" clouds, or ones "completed" from a camera's depth."""
+    sensor: str = "ideal"
+    """Sensor model of that camera."""
+
+    @property
+    def config(self) -> SamplingConfig:
+        """Settings of its planner."""
+        config = get_planner_config(self.planner)
+        return config if self.samples is None else config.resize(self.samples)
+
+    @property
+    def max_steps(self) -> int:
+        """Actions of an episode at most."""
+        return _SLOW_MAX_STEPS if self.slow else _MAX_STEPS
+
+
+@dataclass(frozen=True)
+class PlanningTable:
+    """Members with one caption, each in all modes."""
+
+    caption: str
+    members: tuple[Member, ...]
+    modes: tuple[str, ...] = tuple(CHUNKS)
+
+    def choose(self, names: Sequence[str] = ()) -> tuple[Member, ...]:
+        """The members called ``names``, or all.
+
+        Raises:
+            UnknownNameError: listing the known ones.
+        """
+        known = {member.name: member for member in self.members}
+        return tuple(look_up("member of the table", name, known) for name in names) if names else self.members
+
+
+_MODELS = (
+    Member("compact (default)", "checkpoint", "default"),
+    Member("3DPWM, paper-small", "row", "3DPWM, paper-small", slow=True, samples=32),
+    Member("ParticleFormer+", "row", "ParticleFormer+", slow=True, samples=32, partial=True),
+    Member("Partial 3DPWM", "row", "Partial 3DPWM", slow=True, samples=32, partial=True),
+    Member("linear response, no learning", "baseline", "linear"),
+    Member("the simulator itself", "simulator", "", slow=True),
+)
+_PLANNERS = {"MPPI": "mppi", "CEM": "cem", "iCEM": "icem", "gradient": "gradient"}
+
+PLANNING_TABLES: dict[str, PlanningTable] = {
+    "planning": PlanningTable("Planning success in the simulator (paper, section 4.2)", _MODELS),
+    "planners": PlanningTable(
+        "Planners, all in the default model",
+        tuple(Member(name, "checkpoint", "default", planner=planner) for name, planner in _PLANNERS.items()),
+        modes=("closed loop", "open loop"),
+    ),
+    "completed": PlanningTable(
+        "Planning from what a camera sees, in the default model",
+        (
+            Member("complete clouds", "checkpoint", "default"),
+            Member("completed from ideal depth", "checkpoint", "default", observation="completed"),
+            Member("completed from a D455's depth", "checkpoint", "default", observation="completed", sensor="d455"),
+        ),
+        modes=("closed loop", "chunks of 20"),
+    ),
+}
+"""Name -> table."""
+
+
+def run_planning_table(
+    table: PlanningTable,
+    data: Path,
+    out: Path,
+    task: str = "PickCube",
+    full: bool = False,
+    members: Sequence[str] = (),
+    draw: Callable[[str, str, Sequence[Run]], str] | None = None,
+) -> dict[str, Any]:
+    """Plan with every member in every mode; what is there already is kept.
+
+    Args:
+        table: what to plan with.
+        data: a data set, for the baseline's fit and for members that are not trained yet.
+        out: folder of the pieces, as of :func:`pwm_gym.evaluation.run_table`.
+        task: registered task.
+        full: whether the fast members plan 100 episodes instead of 20.
+        members: names of rows; none given takes all.
+        draw: draws the failed runs of a row in a mode, and returns the picture's name; None draws none.
+
+    Raises:
+        UnknownNameError: the table has no such member.
+    """
+    rows, commit = [], describe_commit()  # of the code that is loaded, which may change on disk meanwhile
+    for member in table.choose(members):
+        model: WorldModel | None = None
+        modes = {}
+        for mode in table.modes:
+            chunk = CHUNKS[mode] if CHUNKS[mode] < member.max_steps else 0  # never looks again
+            episodes = _SLOW_EPISODES if member.slow else _FULL_EPISODES if full else _EPISODES
+            path = _path(out, task, member, data, chunk, episodes)
+            if not path.exists():
+                model = model or _model(member, data, out, get_task(task))
+                planned = _plan(model, member, get_task(task), chunk, episodes, path.with_suffix(""))
+                result = {"commit": commit, "threads": torch.get_num_threads(), **planned}
+                write_atomically(path, json.dumps(result, default=float).encode())
+            modes[mode] = json.loads(path.read_text())
+            if draw is not None and modes[mode]["failed_seeds"]:
+                failed = load_runs(modes[mode]["failed_seeds"], path.with_suffix(""))
+                modes[mode]["picture"] = draw(member.name, mode, failed)
+        config = member.config
+        row = {
+            "row": member.name,
+            "partial": member.partial,
+            "planner": member.planner,
+            "samples": config.samples,
+            "iterations": config.iterations,
+            "max_steps": member.max_steps,
+            "horizon": config.horizon,
+            "modes": modes,
+        }
+        rows.append(row)
+    return {"caption": table.caption, "rows": rows}
+
+
+def _path(out: Path, task: str, member: Member, data: Path, chunk: int, episodes: int) -> Path:
+    """File of one member's result in one mode, named after all that decides it, so that tables share equal ones."""
+    source = str(data)
+    if member.kind == "checkpoint":
+        source = _digest(resolve(member.source, task))
+    elif member.kind == "row":
+        source = row_folder("rollout", member.source, data, out, task).name
+    if member.observation == "completed":
+        source += _digest(SHIPPED)
+    recipe = repr((task, replace(member, name=""), source, chunk, episodes, member.config, member.max_steps))
+    return out / f"planning-{hashlib.sha256(recipe.encode()).hexdigest()[:12]}.json"
+
+
+def _digest(checkpoint: Path) -> str:
+    return hashlib.sha256((checkpoint / "model.safetensors").read_bytes()).hexdigest()
+
+
+def _model(member: Member, data: Path, out: Path, task: Task) -> WorldModel:
+    """The member's model, trained where it is not yet."""
+    if member.kind == "checkpoint":
+        return load_checkpoint(resolve(member.source, task.name), task.name).model
+    if member.kind == "row":
+        threads = torch.get_num_threads()
+        folder = trained("rollout", member.source, data, out, task.name)
+        torch.set_num_threads(threads)  # a training sets its own
+        return load_checkpoint(folder, task.name).model
+    if member.kind == "simulator":
+        return SimulatorModel(task.simulator(), task.layout, task.name, task.goal_size)
+    return fit_baseline(member.source, task, load_split(data, "train", task.name))
+
+
+def _plan(model: WorldModel, member: Member, task: Task, chunk: int, episodes: int, folder: Path) -> dict[str, Any]:
+    """Test seeds of planning in the simulator; failed runs are saved in ``folder``."""
+    from pwm_gym.envs import Sensing  # trainings import this module, and need no environments
+
+    observe: Callable[[Scene], Scene] | None = None
+    if member.partial:
+        simulator = task.simulator()
+        observe = PartialView(simulator.meshes(), task.layout)
+        simulator.close()
+    agent, seeds = Agent(model, task.name, member.config), seed_range("plan_test", episodes)
+    shown: dict[str, Any] = {"observation": member.observation, "sensing": Sensing(sensor=member.sensor)}
+    with gym.make(f"pwm/{task.name}Sim-v0", max_episode_steps=member.max_steps, **shown) as env:
+        runs = run_episodes(env, agent, seeds, member.max_steps, chunk, observe)
+    save_runs([run for run in runs if not run.success], folder)
+    return planning_table(runs)

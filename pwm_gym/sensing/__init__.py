@@ -1,6 +1,0 @@
-"""Depth cameras: what one of them sees of a scene, by ray casting, without a GPU."""
-
-from pwm_gym.sensing.camera import DepthCamera
-from pwm_gym.sensing.raycast import RayCaster, View
-
-__all__ = ["DepthCamera", "RayCaster", "View"]

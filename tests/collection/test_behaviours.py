@@ -1,0 +1,111 @@
+import numpy as np
+import pytest
+
+from pwm_gym.collection.behaviours import Demonstration, Practice
+from pwm_gym.tasks import get_task
+
+TASK = get_task("PickCube")
+
+
+class Still:
+    """A simulator in which nothing moves."""
+
+    def __init__(self):
+        self._poses = np.zeros((4, 7))
+        self._poses[:, 3] = 1.0
+        self._poses[:3, :3] = [[0.6, 0.0, 0.3], [0.6, 0.04, 0.24], [0.6, -0.04, 0.24]]
+        self._poses[:3, 3:] = [0, 1, 0, 0]
+        self._poses[3, :3] = [0.6, 0.05, 0.02]
+
+    def poses(self):
+        return self._poses.copy()
+
+    def goal(self):
+        return np.array([0.6, 0.0, 0.2], np.float32)
+
+
+def demonstrations(count, **settings):
+    return [Demonstration(TASK, np.random.default_rng([seed, 0]), **settings) for seed in range(count)]
+
+
+def test_about_a_fifth_of_the_demonstrations_switch_to_random_actions():
+    made = demonstrations(4000)
+    switched = [d for d in made if d.kind == "randomised"]
+    assert len(switched) / 4000 == pytest.approx(0.2, abs=0.025)  # four standard deviations
+    assert {d.kind for d in made} == {"expert", "randomised"}
+    assert all((d.switch >= 0) == (d.kind == "randomised") for d in made)
+
+
+def test_the_switch_is_uniform_over_the_episode():
+    steps = np.array([d.switch for d in demonstrations(4000, randomise=1.0)])
+    assert steps.min() == 0 and steps.max() == 65
+    assert np.histogram(steps, 6, (0, 66))[0] == pytest.approx(4000 / 6, rel=0.2)
+
+
+@pytest.mark.parametrize(("share", "kind"), [(0.0, "expert"), (1.0, "randomised")])
+def test_the_shares_limits(share, kind):
+    assert {d.kind for d in demonstrations(50, randomise=share)} == {kind}
+
+
+def test_actions_are_the_experts_until_the_switch_and_random_after():
+    seed = next(i for i, d in enumerate(demonstrations(200, randomise=1.0)) if 5 < d.switch < 60)
+    behaviour = demonstrations(seed + 1, randomise=1.0)[seed]
+    twin = np.random.default_rng([seed, 0])
+    expert = TASK.expert(twin)
+    still = Still()
+    expected = expert.act(still.poses(), still.goal())
+    actions = []
+    while not behaviour.done(False):
+        actions.append(behaviour.act(still))
+    actions = np.array(actions)
+    assert len(actions) == 66
+    np.testing.assert_array_equal(actions[: behaviour.switch], np.tile(expected, (behaviour.switch, 1)))
+    tail = actions[behaviour.switch :]
+    assert (np.abs(tail) <= 1).all() and len(np.unique(tail[:, 0])) == len(tail)
+
+
+def test_an_expert_lingers_after_success():
+    behaviour = demonstrations(1, randomise=0.0, linger=3)[0]
+    ends = [behaviour.done(success) for success in (False, False, True, True, True, True)]
+    assert ends == [False] * 5 + [True]
+
+
+def test_practice_is_a_function_of_its_generator_and_acts_within_limits():
+    still = Still()
+
+    def actions(seed):
+        practice = Practice(TASK, np.random.default_rng(seed))
+        return np.array([practice.act(still) for _ in range(80)])
+
+    one, again, other = actions(1), actions(1), actions(2)
+    np.testing.assert_array_equal(one, again)
+    assert not np.array_equal(one, other)
+    for row in (one, other):
+        assert row.shape == (80, 7) and np.isfinite(row).all() and np.abs(row).max() <= 1
+
+
+def test_practice_shows_idle_hands_and_shut_fingers():
+    still = Still()
+    rows = np.concatenate(
+        [[p.act(still) for _ in range(80)] for p in (Practice(TASK, np.random.default_rng(s)) for s in range(40))]
+    )
+    idle = (np.abs(rows[:, :6]) == 0).all(1)
+    assert 0.03 < idle.mean() < 0.3
+    assert (idle & (rows[:, -1] == 0)).any()
+    assert 0.2 < (rows[:, -1] < 0).mean() < 0.8
+    assert not Practice(TASK, np.random.default_rng(0)).done(True)
+
+
+def test_a_toss_is_the_expert_and_then_random_actions():
+    still, lengths = Still(), []
+    for seed in range(40):
+        practice = Practice(TASK, np.random.default_rng(seed))
+        act = practice._toss()
+        lengths.append(practice._left)
+        actions = np.array([act(still) for _ in range(practice._left)])
+        expert = int((np.abs(actions - actions[0]) < 1e-12).all(1).sum())  # in a still world it repeats itself
+        assert 3 <= expert <= 35
+        np.testing.assert_array_equal(actions[:expert], np.tile(actions[0], (expert, 1)))
+        tail = actions[expert:]
+        assert 10 <= len(tail) <= 25 and (np.abs(tail) <= 1).all()
+    assert 13 <= min(lengths) < max(lengths) <= 60

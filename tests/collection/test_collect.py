@@ -1,0 +1,170 @@
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+
+from pwm_gym.collection import CollectConfig, collect
+from pwm_gym.data import KINDS, Episode, load_split
+from pwm_gym.data.dataset import SPLITS
+from pwm_gym.data.episodes import read_shard
+from pwm_gym.errors import DatasetError, UnknownNameError
+from pwm_gym.seeds import split_of
+
+
+def assert_same(a, b, splits=SPLITS):
+    """Two data sets hold the same arrays, bit for bit."""
+    for split in splits:
+        first, second = load_split(a, split), load_split(b, split)
+        np.testing.assert_array_equal(first.clouds, second.clouds)
+        assert first.layout == second.layout and len(first.episodes) == len(second.episodes)
+        for x, y in zip(first.episodes, second.episodes, strict=True):
+            for field in fields(Episode):
+                np.testing.assert_array_equal(getattr(x, field.name), getattr(y, field.name), field.name)
+
+
+@pytest.fixture
+def copied(data_config, data_folder, tmp_path) -> CollectConfig:
+    """Configuration of a copy of the small data set."""
+    shutil.copytree(data_folder, tmp_path / "set")
+    return replace(data_config, out=tmp_path / "set")
+
+
+def test_kinds_and_counts_are_as_configured(data_folder):
+    counts = {}
+    for split in SPLITS:
+        kinds = [KINDS[e.kind] for e in load_split(data_folder, split).episodes]
+        counts[split] = (len(kinds), kinds.count("practice"))
+    assert counts == {"train": (8, 4), "validation": (2, 1), "test": (2, 1)}
+
+
+def test_splits_and_kinds_share_no_seed(data_folder):
+    seeds = {split: [e.seed for e in load_split(data_folder, split).episodes] for split in SPLITS}
+    every = [s for split in SPLITS for s in seeds[split]]
+    assert len(set(every)) == len(every) == 12
+    assert all(split_of(s) == split for split in SPLITS for s in seeds[split])
+
+
+def test_episodes_are_whole(data_folder):
+    for e in load_split(data_folder, "train").episodes:
+        steps = len(e)
+        assert steps >= 3
+        assert e.poses.shape == (steps + 1, 4, 7) and e.joints.shape == (steps + 1, 2, 9)
+        assert e.actions.shape == (steps, 7) and np.abs(e.actions).max() <= 1
+        assert e.rewards.shape == e.success.shape == e.grasped.shape == (steps,)
+        np.testing.assert_allclose(np.linalg.norm(e.poses[..., 3:], axis=-1), 1, atol=1e-5)
+        assert e.success.any() or KINDS[e.kind] != "expert"
+
+
+def test_two_workers_collect_what_one_does(data_config, data_folder, tmp_path):
+    two = collect(replace(data_config, out=tmp_path / "two", held_out=0, workers=2), progress=False)
+    assert_same(data_folder, two, splits=["train"])
+
+
+def test_a_killed_run_resumes_to_the_same_data(data_config, data_folder, tmp_path):
+    out = tmp_path / "killed"
+    options = f"--episodes 8 --held-out 0 --shard 2 --workers 1 --out {out}".split()
+    run = subprocess.Popen(
+        [sys.executable, "-m", "pwm_gym", "collect", *options], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    )
+    limit = time.monotonic() + 120
+    while not list(out.glob("*.npz")) and run.poll() is None and time.monotonic() < limit:
+        time.sleep(0.02)
+    run.send_signal(signal.SIGKILL)
+    assert run.wait() == -signal.SIGKILL
+    whole = {p: p.stat().st_mtime_ns for p in out.glob("*.npz")}
+    assert 1 <= len(whole) < 4  # killed in the middle
+    collect(replace(data_config, out=out, held_out=0), progress=False)
+    assert_same(data_folder, out, splits=["train"])
+    assert all(p.stat().st_mtime_ns == t for p, t in whole.items())  # what was there was kept
+
+
+def test_a_finished_data_set_is_left_alone(copied):
+    before = {p: p.stat().st_mtime_ns for p in copied.out.iterdir()}
+    collect(copied, progress=False)
+    assert {p: p.stat().st_mtime_ns for p in copied.out.iterdir()} == before
+
+
+def test_more_episodes_extend_a_data_set(copied, data_folder):
+    collect(replace(copied, episodes=9, practice=0.5), progress=False)
+    longer, before = load_split(copied.out, "train").episodes, load_split(data_folder, "train").episodes
+    assert len(longer) == 9 and {e.seed for e in before} < {e.seed for e in longer}
+
+
+@pytest.mark.parametrize("kept", [0.0, 0.5, 0.98])
+def test_a_truncated_shard_is_named_when_read(copied, kept):
+    path = copied.out / "train-practice-00001.npz"
+    content = path.read_bytes()
+    path.write_bytes(content[: int(kept * len(content))])
+    with pytest.raises(DatasetError, match=r"train-practice-00001\.npz is truncated or not a shard"):
+        load_split(copied.out, "train")
+
+
+def test_collect_replaces_a_truncated_shard(copied, data_folder):
+    path = copied.out / "test-practice-00000.npz"
+    path.write_bytes(path.read_bytes()[:1000])
+    collect(copied, progress=False)
+    assert_same(copied.out, data_folder)
+
+
+def test_a_garbled_shard_is_refused(copied):
+    path = copied.out / "train-practice-00000.npz"
+    content = bytearray(path.read_bytes())
+    for i in range(len(content) // 4, len(content) // 2):
+        content[i] ^= 0x5A
+    path.write_bytes(content)
+    with pytest.raises(DatasetError, match="train-practice-00000"):
+        read_shard(path)
+
+
+def test_a_foreign_shard_is_refused(copied):
+    path = copied.out / "train-foreign-00000.npz"
+    np.savez(path, header=np.array('{"format": "other"}'))
+    with pytest.raises(DatasetError, match="has format 'other'; expected 'pwm_gym.episodes'"):
+        load_split(copied.out, "train")
+
+
+@pytest.mark.parametrize(
+    "change", [{"practice": 0.25}, {"randomise": 0.5}, {"offset": 100}, {"shard": 3}], ids=lambda c: next(iter(c))
+)
+def test_other_settings_are_refused(copied, change):
+    with pytest.raises(DatasetError, match=f"was collected with .*expected .*{next(iter(change))}"):
+        collect(replace(copied, **change), progress=False)
+
+
+def test_another_task_is_refused(data_folder):
+    with pytest.raises(DatasetError, match="is a data set of task 'PickCube'; expected 'StackCube'"):
+        load_split(data_folder, "train", "StackCube")
+    shard = next(data_folder.glob("train-*.npz"))
+    with pytest.raises(DatasetError, match="holds episodes of 'PickCube'; expected 'StackCube'"):
+        read_shard(shard, "StackCube")
+
+
+def test_an_unknown_task_is_refused(tmp_path):
+    with pytest.raises(UnknownNameError, match="unknown task 'PickApple'"):
+        collect(CollectConfig(task="PickApple", out=tmp_path), progress=False)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_truncated_header_is_named(copied):
+    path = copied.out / "dataset.json"
+    path.write_text(path.read_text()[:100])
+    with pytest.raises(DatasetError, match=r"dataset\.json is truncated or not JSON"):
+        collect(copied, progress=False)
+    with pytest.raises(DatasetError, match=r"dataset\.json is truncated or not JSON"):
+        load_split(copied.out, "train")
+
+
+@pytest.mark.slow
+def test_a_planners_own_runs_are_collected(data_config, tmp_path):
+    config = replace(data_config, out=tmp_path / "set", episodes=1, held_out=1, practice=0.0, on_policy=1.0)
+    (episode,) = load_split(collect(config, progress=False), "train").episodes
+    assert KINDS[episode.kind] == "on_policy" and 3 <= len(episode) <= 60
+    hand = episode.poses[:, 0, :3]
+    cube = episode.poses[0, 3, :3]
+    gap = np.linalg.norm(hand - cube, axis=1)
+    assert gap.min() < 0.6 * gap[0]  # it plans to get at the cube

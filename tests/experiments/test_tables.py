@@ -1,0 +1,76 @@
+import json
+from dataclasses import replace
+
+import pytest
+
+from pwm_gym.dynamics import build_model
+from pwm_gym.errors import DatasetError, UnknownNameError
+from pwm_gym.experiments import TABLES, run_table
+from pwm_gym.experiments.tables import Row, Table
+from pwm_gym.tasks import get_task
+from pwm_gym.training.losses import TrainConfig
+
+TINY = {"points": 8, "point_width": 8, "width": 16, "blocks": 1, "kinematic": False, "uncertain": False}
+QUICK = TrainConfig(phases=((1, 2, 8),), threads=1)
+
+
+@pytest.fixture
+def tiny(monkeypatch):
+    row = Row("One", settings=TINY, training=QUICK, seeds=(0, 1), paper="0.009")
+    monkeypatch.setitem(TABLES, "tiny", Table("A tiny table", (row,)))
+    return row
+
+
+def test_a_table_has_each_row_with_its_seeds_and_goes_on_where_it_was(tiny, data_folder, tmp_path):
+    table = run_table("tiny", data_folder, tmp_path)
+    (row,) = table["rows"]
+    assert (table["caption"], row["row"], row["seeds"], row["paper, other data"]) == ("A tiny table", "One", 2, "0.009")
+    assert row["sample_steps"] == 16 and row["parameters"] > 100 and row["episodes"] == 8
+    assert row["splits"]["all"]["chamfer_l1"]["mean"] > 0
+    results = {json.loads(p.read_text())["seed"]: p for p in tmp_path.glob("compact-*/result.json")}
+    assert set(results) == {0, 1}
+    result = results[1]
+    kept = json.loads(result.read_text())
+    kept["splits"]["all"]["chamfer_l1"], kept["commit"] = 1.0, "0ld"
+    result.write_text(json.dumps(kept))
+    results[0].unlink()
+    again = run_table("tiny", data_folder, tmp_path)["rows"][0]
+    first = row["splits"]["all"]["chamfer_l1"]["mean"] * 2 - kept["splits"]["all"]["chamfer_l1"]
+    assert first < 1.0 < again["splits"]["all"]["chamfer_l1"]["mean"] * 2
+    assert again["commits"] == sorted({"0ld", *row["commits"]})  # each piece tells which code made it
+
+
+def test_a_changed_row_is_trained_anew(tiny, data_folder, tmp_path, monkeypatch):
+    one = replace(tiny, seeds=(0,))
+    monkeypatch.setitem(TABLES, "one", Table("", (one,)))
+    monkeypatch.setitem(TABLES, "same", Table("", (replace(one, name="Another name"),)))
+    monkeypatch.setitem(TABLES, "other", Table("", (replace(one, episodes=4),)))
+    counts = []
+    for table in ("one", "same", "other"):
+        run_table(table, data_folder, tmp_path)
+        counts.append(len(list(tmp_path.glob("*/result.json"))))
+    assert counts == [1, 1, 2]
+
+
+def test_rows_of_a_table_have_one_budget():
+    for table in TABLES.values():
+        budgets = [sum(h * n * b for h, n, b in row.training.phases) for row in table.rows]
+        assert max(budgets) < 1.01 * min(budgets)
+        names = [row.name for row in table.rows]
+        assert len(set(names)) == len(names)
+
+
+def test_every_row_names_a_model_with_its_settings():
+    task = get_task("PickCube")
+    for row in (row for table in TABLES.values() for row in table.rows):
+        model = build_model(row.model, task.layout, task.action_size, task.control, dict(row.settings))
+        assert {k: getattr(model.config, k) for k in row.settings} == row.settings
+        assert getattr(model, "error", None) is None  # nothing that stays unfitted
+
+
+def test_unknown_tables_and_too_many_episodes_are_named(tiny, data_folder, tmp_path, monkeypatch):
+    with pytest.raises(UnknownNameError, match=r"unknown table 'horizn'.*Did you mean 'horizon'"):
+        run_table("horizn", data_folder, tmp_path)
+    monkeypatch.setitem(TABLES, "many", Table("", (replace(tiny, name="Many", episodes=99),)))
+    with pytest.raises(DatasetError, match="episodes=99; the data has 8"):
+        run_table("many", data_folder, tmp_path)
