@@ -102,7 +102,7 @@ class ModelVectorEnv(EzPickle, gym.vector.VectorEnv[dict[str, np.ndarray], np.nd
         self.device, self.max_episode_steps, self._tensors = use_device(device), max_episode_steps, tensors
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
-        self.checkpoint = load_checkpoint(resolve(checkpoint, task), task, device)
+        self.checkpoint = load_checkpoint(resolve(checkpoint, task))
         self.model = self.checkpoint.model
         self.layout = self.task.layout if points is None else self.task.layout.resize(points)
         self.rules = Rules(self.task, cost, grasp)
@@ -203,7 +203,7 @@ class ModelVectorEnv(EzPickle, gym.vector.VectorEnv[dict[str, np.ndarray], np.nd
         """One scene for each environment of ``mask``."""
         chosen = np.flatnonzero(mask)
         if scene is None:
-            bank = self.checkpoint.bank
+            bank = self.checkpoint.bank(self.task.name)
             draws = [int(torch.randint(len(bank), (), generator=self._generators[i])) for i in chosen]
             return [bank.scene(k).coarsen(self.layout) for k in draws]
         scenes: list[Any] = list(scene) if isinstance(scene, list | tuple) else [scene] * len(chosen)

@@ -12,20 +12,20 @@ import numpy as np
 from tqdm import tqdm
 
 from pwm_gym.collection.behaviours import Behaviour, Demonstration, OnPolicy, Practice
-from pwm_gym.data.dataset import read_header
+from pwm_gym.data.dataset import FORMAT, asset_path, read_header, save_asset
+from pwm_gym.data.episodes import FORMAT as EPISODES
 from pwm_gym.data.episodes import KINDS, Episode, read_shard, write_shard
 from pwm_gym.dynamics.checkpoint import load_checkpoint, resolve
 from pwm_gym.errors import DatasetError
 from pwm_gym.files import write_atomically
 from pwm_gym.planning import Agent
-from pwm_gym.scene import sample_clouds
+from pwm_gym.scene import SCHEMA, sample_clouds
 from pwm_gym.seeds import RANGES
 from pwm_gym.sim import Simulator
 from pwm_gym.tasks import Task, get_task
 
-__all__ = ["SCHEMA", "CollectConfig", "collect", "record_episode"]
+__all__ = ["CollectConfig", "collect", "record_episode"]
 
-SCHEMA = 1
 _EXPERT_STEPS = 120  # a demonstration that has not succeeded by then ends; the slowest expert takes about 110
 _PRACTICE_STEPS = 80
 _PLANNED_STEPS = 60
@@ -91,7 +91,7 @@ def collect(config: CollectConfig, progress: bool = True) -> Path:
 def _write_header(config: CollectConfig, task: Task) -> None:
     settings = {k: v for k, v in asdict(config).items() if k not in ("out", "workers", "episodes", "held_out")}
     header = {
-        "format": "pwm_gym.dataset",
+        "format": FORMAT,
         "schema": SCHEMA,
         "settings": settings,
         "layout": task.layout.to_json(),
@@ -99,14 +99,10 @@ def _write_header(config: CollectConfig, task: Task) -> None:
     }
     path = config.out / "dataset.json"
     if path.exists():
-        found = read_header(config.out)["settings"]
+        found = read_header(config.out).settings
         if found != settings:
             raise DatasetError(f"{config.out} was collected with {found}; expected {settings}")
         return
-    simulator = task.simulator()
-    clouds = sample_clouds(simulator.meshes(), task.layout, task.cloud_seed)
-    simulator.close()
-    header["clouds"] = clouds.tolist()
     write_atomically(path, json.dumps(header).encode())
 
 
@@ -159,9 +155,22 @@ def _collect_shard(job: _Job) -> int:
 
     limits = {"demonstration": _EXPERT_STEPS, "practice": _PRACTICE_STEPS, "on_policy": _PLANNED_STEPS}
     behaviour = _behaviours(job, task)
-    episodes = [record_episode(simulator, seed, behaviour, limits[job.kind]) for seed in job.seeds]
-    write_shard(job.path, episodes, {"format": "pwm_gym.episodes", "schema": SCHEMA, "task": task.name})
+    episodes = []
+    for seed in job.seeds:
+        episodes.append(record_episode(simulator, seed, behaviour, limits[job.kind]))
+        _save_assets(job.config.out, task, simulator)
+    write_shard(job.path, episodes, {"format": EPISODES, "schema": SCHEMA, "task": task.name})
     return len(episodes)
+
+
+def _save_assets(folder: Path, task: Task, simulator: Simulator) -> None:
+    """Sample the canonical clouds of the present episode's assets that the data set does not have yet."""
+    names = simulator.assets()
+    if all(asset_path(folder, name).exists() for name in names):
+        return
+    clouds = sample_clouds(simulator.meshes(), task.layout, task.cloud_seed)
+    for name, entity in zip(names, task.layout, strict=True):
+        save_asset(folder, name, clouds[entity.slice])
 
 
 def _behaviours(job: _Job, task: Task) -> Callable[[int], Behaviour]:
@@ -174,16 +183,16 @@ def _behaviours(job: _Job, task: Task) -> Callable[[int], Behaviour]:
         return lambda seed: Practice(task, rng(seed))
     if job.kind == "demonstration":
         return lambda seed: Demonstration(task, rng(seed), randomise=job.config.randomise)
-    checkpoint = load_checkpoint(resolve(job.config.checkpoint, task.name), task.name)
+    checkpoint = load_checkpoint(resolve(job.config.checkpoint, task.name))
     agent = Agent(checkpoint.model, task.name)
-    clouds = np.asarray(json.loads((job.config.out / "dataset.json").read_text())["clouds"], np.float32)
-    return lambda seed: OnPolicy(task, agent, clouds, seed)
+    return lambda seed: OnPolicy(task, agent, seed)
 
 
 def record_episode(simulator: Simulator, seed: int, make: Callable[[int], Behaviour], limit: int) -> Episode:
     """One episode of at most ``limit`` steps from ``seed``; at least three, so that it has both velocities."""
     simulator.reset(seed)
     behaviour = make(seed)
+    goal, assets = simulator.goal(), simulator.assets()  # a goal may move later
     poses, joints, actions, outcomes = [simulator.poses()], [simulator.joints()], [], []
     for step in range(limit):
         action = behaviour.act(simulator)
@@ -201,8 +210,9 @@ def record_episode(simulator: Simulator, seed: int, make: Callable[[int], Behavi
         rewards=np.array([o.reward for o in outcomes], np.float32),
         success=np.array([o.success for o in outcomes]),
         grasped=np.array([o.grasped for o in outcomes]),
-        goal=simulator.goal(),
+        goal=goal,
         kind=KINDS.index(behaviour.kind),
         seed=seed,
         switch=behaviour.switch,
+        assets=assets,
     )

@@ -63,8 +63,8 @@ class Bench:
 
         prepare_process(self.threads)
         task = get_task(self.task)
-        checkpoint = load_checkpoint(resolve("default", task.name), task.name)
-        scenes = [checkpoint.bank.scene(i) for i in range(max(1, self.planners))]
+        checkpoint = load_checkpoint(resolve("default", task.name))
+        scenes = [checkpoint.bank(task.name).scene(i) for i in range(max(1, self.planners))]
         results: dict[str, Any] = {"start": _start(task.name), **self._environments(task)}
         results.update(self._sizes(checkpoint.model, task, scenes[0]))
         if self.planners:

@@ -33,7 +33,7 @@ class CheckCost:
 
         task = get_task(self.task)
         cost = get_cost(_find(self.cost))
-        bank = load_checkpoint(resolve("default", task.name), task.name).bank
+        bank = load_checkpoint(resolve("default", task.name)).bank(task.name)
         state = batch_state([bank.scene(i) for i in range(8)])
         frames = state.frames.requires_grad_(True)
         goal = torch.as_tensor(bank.goals[:8])

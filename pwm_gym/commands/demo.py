@@ -43,7 +43,7 @@ class Demo:
         from pwm_gym.seeds import seed_range
 
         prepare_process(self.threads)
-        checkpoint = load_checkpoint(resolve(self.checkpoint, self.task), self.task)
+        checkpoint = load_checkpoint(resolve(self.checkpoint, self.task))
         begun = time.perf_counter()
         env = gym.make(f"pwm/{self.task}Sim-v0")
         print(f"{self.task}: {checkpoint.kind} world model; simulator ready in {time.perf_counter() - begun:.0f} s")

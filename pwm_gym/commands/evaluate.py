@@ -80,7 +80,7 @@ class Evaluate:
             self.pictures.mkdir(parents=True, exist_ok=True)
         task = get_task(self.task)
         dataset = load_split(self.data, self.split, task.name)
-        checkpoint = load_checkpoint(resolve(self.checkpoint, task.name), task.name)
+        checkpoint = load_checkpoint(resolve(self.checkpoint, task.name))
         rows = {checkpoint.kind: evaluate_rollouts(checkpoint.model, task, dataset, every=self.every)}
         rows["oracle effector"] = evaluate_rollouts(checkpoint.model, task, dataset, oracle=True, every=self.every)
         training = load_split(self.data, "train", task.name)

@@ -77,7 +77,7 @@ class Plan:
         config = self._config()
         prepare_process(self.threads)
         task = get_task(self.task)
-        model = load_checkpoint(resolve(self.checkpoint, self.task), self.task).model
+        model = load_checkpoint(resolve(self.checkpoint, self.task)).model
         seeds = seed_range(self.seeds, self.episodes, self.offset)
         agent = Agent(model, self.task, config, penalties=self._penalties(task), caution=self.caution)
         sensing = Sensing(sensor=self.sensor, completer=self.completer)

@@ -45,7 +45,7 @@ class View:
         shown = _LOOKS.get(run.chunk, f"the model looks every {run.chunk} steps")
         if self.rollout:
             task = run.start.task
-            agent = Agent(load_checkpoint(resolve(self.checkpoint, task), task).model, task)
+            agent = Agent(load_checkpoint(resolve(self.checkpoint, task)).model, task)
             run, shown = rolled_out(run, agent), FROM_THE_FIRST
         record = twin_record(run, shown)
         self.out.mkdir(parents=True, exist_ok=True)

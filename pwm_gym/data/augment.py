@@ -45,7 +45,7 @@ def reframe(batch: Batch, generator: torch.Generator) -> Batch:
     """
     clouds, frames, following = batch.clouds.clone(), batch.frames.clone(), batch.following.clone()
     for k, entity in enumerate(batch.layout):
-        if entity.driven:
+        if not entity.loose:
             continue
         turn = _AXES[torch.randint(len(_AXES), (len(clouds),), generator=generator)]  # (B, 3, 3)
         clouds[:, entity.slice] = clouds[:, entity.slice] @ turn

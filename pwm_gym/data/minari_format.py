@@ -6,6 +6,7 @@ data set stays small.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import gymnasium as gym
@@ -71,13 +72,13 @@ def _arrays(episode: Episode) -> dict[str, Any]:
     }
 
 
-def import_minari(dataset_id: str, task: str, clouds: np.ndarray) -> Dataset:
+def import_minari(dataset_id: str, task: str, assets: Mapping[str, np.ndarray]) -> Dataset:
     """The episodes of a Minari data set that :func:`export_minari` wrote.
 
     Args:
         dataset_id: Minari's name.
         task: registered task.
-        clouds: canonical points (N, 3) of the task.
+        assets: asset -> canonical points (n, 3), metres.
 
     Raises:
         DatasetError: its observations are not those of an export.
@@ -89,7 +90,7 @@ def import_minari(dataset_id: str, task: str, clouds: np.ndarray) -> Dataset:
     if not isinstance(space, gym.spaces.Dict) or set(space) != {"poses", "joints", "goal"}:
         raise DatasetError(f"{dataset_id} has observations {space}; expected a Dict of poses, joints and goal")
     episodes = tuple(_episode(data) for data in source.iterate_episodes())
-    return Dataset(task, get_task(task).layout, clouds, episodes)
+    return Dataset(task, get_task(task).layout, assets, episodes)
 
 
 def _episode(data: Any) -> Episode:

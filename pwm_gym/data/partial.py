@@ -67,11 +67,11 @@ def visibility(
             raise DatasetError(f"{cache} tells of {len(seen)} frames; expected {frames}")
         return seen
     caster = RayCaster(meshes, dataset.layout)
-    clouds = torch.as_tensor(dataset.clouds, dtype=torch.float64)
     rows = []
     for episode in tqdm(dataset.episodes, disable=not progress, desc="visibility", leave=False):
         poses = matrix_from_pose7(torch.as_tensor(episode.poses, dtype=torch.float64))
-        placed = _posed(clouds.expand(len(poses), -1, -1), dataset.layout, poses)
+        cloud = torch.as_tensor(dataset.cloud(episode), dtype=torch.float64)
+        placed = _posed(cloud.expand(len(poses), -1, -1), dataset.layout, poses)
         rows += [caster.visible(camera, x, at) for x, at in zip(placed.numpy(), poses.numpy(), strict=True)]
     seen = np.stack(rows)
     if cache is not None:
@@ -115,16 +115,16 @@ def partial_clouds(
 
     Args:
         layout: of ``clouds``.
-        clouds: canonical points (N, 3).
+        clouds: canonical points (N, 3), or (B, N, 3).
         seen: bool.
         generator: draws.
         points: of each entity, at most.
     """
     coarse = layout.truncate(points)
-    parts = [
-        clouds[full.start + choose_visible(seen[:, full.slice], e.points, generator)]
-        for full, e in zip(layout, coarse, strict=True)
-    ]
+    clouds, parts = clouds.expand(len(seen), -1, -1), []
+    for full, e in zip(layout, coarse, strict=True):
+        chosen = full.start + choose_visible(seen[:, full.slice], e.points, generator)  # (B, n)
+        parts.append(clouds.gather(1, chosen.unsqueeze(-1).expand(-1, -1, 3)))
     return coarse, torch.cat(parts, 1)
 
 
@@ -191,7 +191,8 @@ class PartialWindows(Windows):
         return replace(whole, layout=layout, clouds=clouds, observed=torch.stack(observed, 1))
 
     def _draw(self, frames: Tensor, generator: torch.Generator) -> tuple[Layout, Tensor]:
-        return partial_clouds(self.layout, self._clouds, self._seen[frames], generator, self._points)
+        clouds = self._clouds[self._combination[frames]]
+        return partial_clouds(self.layout, clouds, self._seen[frames], generator, self._points)
 
 
 def _posed(canonical: Tensor, layout: Layout, poses: Tensor) -> Tensor:

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from pwm_gym.data.batch import Batch
+from pwm_gym.data.batch import Batch, Batches
 from pwm_gym.data.dataset import Dataset
 from pwm_gym.errors import DatasetError
 from pwm_gym.scene import Layout
 from pwm_gym.scene.se3 import matrix_from_pose7
 
-__all__ = ["Windows"]
+__all__ = ["Windows", "mixed"]
 
 _STILL = 1e-3  # metres a step; an object that moves more, and not with the hand, is an event
 
@@ -33,10 +33,11 @@ class Windows:
         self._poses = matrix_from_pose7(torch.cat(poses)).float()  # (F, E, 4, 4)
         self._joints = torch.cat([torch.as_tensor(e.joints) for e in dataset.episodes])
         self._actions = torch.cat([torch.as_tensor(np.r_[e.actions, e.actions[-1:]]) for e in dataset.episodes])
-        self._clouds = torch.as_tensor(dataset.clouds)
+        self._clouds = torch.as_tensor(dataset.clouds)  # (K, N, 3)
         self.layout = dataset.layout
         lengths = np.array([len(e) for e in dataset.episodes])
         starts = np.concatenate([[0], np.cumsum(lengths + 1)[:-1]])
+        self._combination = torch.as_tensor(np.repeat(dataset.combination_of, lengths + 1))  # of each frame
         self._first = torch.as_tensor(np.repeat(starts, lengths + 1))  # of each frame's episode
         last = np.repeat(starts + lengths, lengths + 1)
         self._left = torch.as_tensor(last) - torch.arange(len(last))  # transitions after each frame
@@ -52,10 +53,12 @@ class Windows:
         position = self._poses[:, :, :3, 3]
         move = torch.zeros_like(position)
         move[:-1] = position[1:] - position[:-1]
-        objects = [i for i, e in enumerate(layout) if not e.effector]
-        own = move[:, objects].norm(dim=-1)
-        relative = (move[:, objects] - move[:, layout.root, None]).norm(dim=-1)
-        return ((torch.minimum(own, relative) > _STILL).any(1) & (self._left > 0)).float()
+        objects = [*layout.loose, *layout.articulated]
+        motion = move[:, objects]
+        own = motion.norm(dim=-1)
+        for hand in layout.hands:  # what moves as a hand does is carried by it
+            own = torch.minimum(own, (motion - move[:, hand, None]).norm(dim=-1))
+        return ((own > _STILL).any(1) & (self._left > 0)).float()
 
     def _table(self, horizon: int) -> tuple[Tensor, Tensor]:
         """Frames that have ``horizon`` steps after them, and their cumulative weights."""
@@ -90,10 +93,27 @@ class Windows:
         ahead = frames[:, None] + torch.arange(horizon + 1)
         return Batch(
             layout=self.layout,
-            clouds=self._clouds.expand(len(frames), -1, -1),
+            clouds=self._clouds[self._combination[frames]],
             frames=self._poses[history],
             actions=self._actions[ahead[:, :-1]],
             following=self._poses[ahead[:, 1:]],
             joints=self._joints[frames],
             following_joints=self._joints[ahead[:, 1:]],
         )
+
+
+class _Mixed:
+    """Windows of several data sets; each batch is of one of them."""
+
+    def __init__(self, sources: Sequence[Windows]) -> None:
+        self._sources = sources
+
+    def sample(self, generator: torch.Generator, batch: int, horizon: int) -> Batch:
+        """``batch`` windows of ``horizon`` steps, of a source that is drawn evenly."""
+        place = int(torch.randint(len(self._sources), (), generator=generator))
+        return self._sources[place].sample(generator, batch, horizon)
+
+
+def mixed(sources: Sequence[Windows]) -> Batches:
+    """Windows of all ``sources``, evenly; each batch is of one layout."""
+    return sources[0] if len(sources) == 1 else _Mixed(sources)

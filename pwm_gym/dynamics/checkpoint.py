@@ -1,55 +1,31 @@
-"""Checkpoints: safetensors weights, a JSON description and a bank of initial scenes in one folder."""
+"""Checkpoints: safetensors weights, a JSON description and banks of initial scenes in one folder.
+
+A checkpoint belongs to a robot; it has a bank of scenes of each task that it was trained on.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 
+from pwm_gym.dynamics.bank import SceneBank
 from pwm_gym.dynamics.model import WorldModel
 from pwm_gym.dynamics.registry import build_model, config_of
 from pwm_gym.errors import CheckpointError, unknown_name
-from pwm_gym.files import load_arrays, save_arrays
 from pwm_gym.learning import load_weights, read_description, save_weights
 from pwm_gym.robots import Control
-from pwm_gym.scene import Layout, Scene
+from pwm_gym.scene import SCHEMA, Layout
 
-__all__ = ["SCHEMA", "SHIPPED", "Checkpoint", "SceneBank", "load_checkpoint", "resolve", "save_checkpoint"]
+__all__ = ["SHIPPED", "Checkpoint", "SceneBank", "load_checkpoint", "resolve", "save_checkpoint"]
 
-SCHEMA = 1
 _FORMAT = "pwm_gym.checkpoint"
-_KEYS = {"task", "model", "config", "layout", "action_size", "control"}
-_BANK = ("clouds", "poses", "goals", "joints")
+_KEYS = {"tasks", "model", "config", "links", "control"}
 SHIPPED = Path(__file__).parent.parent / "checkpoints"
 """Folder of the checkpoints that come with the package, one a task."""
-
-
-@dataclass(frozen=True)
-class SceneBank:
-    """Initial scenes of one task that share their canonical clouds; drawn from training seeds."""
-
-    task: str
-    layout: Layout
-    clouds: np.ndarray
-    """(N, 3) float32."""
-    poses: np.ndarray
-    """(M, E, 7) float32."""
-    goals: np.ndarray
-    """(M, G) float32."""
-    joints: np.ndarray | None = None
-    """Joint positions (M, J) float32."""
-
-    def __len__(self) -> int:
-        return len(self.poses)
-
-    def scene(self, index: int) -> Scene:
-        """The scene at ``index``, at rest."""
-        poses = np.repeat(self.poses[index].astype(np.float64)[None], 3, 0)
-        joints = None if self.joints is None else np.stack([self.joints[index], np.zeros_like(self.joints[index])])
-        return Scene(self.task, self.layout, self.clouds, poses, self.goals[index], joints)
 
 
 @dataclass(frozen=True)
@@ -57,30 +33,48 @@ class Checkpoint:
     """A trained world model with what is known of it."""
 
     model: WorldModel
-    task: str
     kind: str
+    tasks: tuple[str, ...]
+    """Tasks that it was trained on."""
     description: dict[str, Any]
-    bank: SceneBank
+    banks: dict[str, SceneBank] = field(default_factory=dict)
+    """Task -> initial scenes."""
+    folder: Path = Path()
+
+    def bank(self, task: str) -> SceneBank:
+        """Initial scenes of a task.
+
+        Raises:
+            CheckpointError: it has none of this task.
+        """
+        if task not in self.banks:
+            known = ", ".join(self.banks) or "no task"
+            raise CheckpointError(f"{self.folder} has scenes of {known}; expected {task!r}, or a scene at reset")
+        return self.banks[task]
 
 
 def save_checkpoint(
-    folder: Path, model: Any, kind: str, bank: SceneBank, training: dict[str, Any], metrics: dict[str, Any]
+    folder: Path,
+    model: Any,
+    kind: str,
+    banks: Sequence[SceneBank],
+    training: dict[str, Any],
+    metrics: dict[str, Any],
 ) -> None:
-    """Write ``model`` to ``folder``: ``model.safetensors``, ``config.json``, ``scenes.npz``."""
+    """Write ``model`` to ``folder``: ``model.safetensors``, ``config.json``, ``scenes-<task>.npz``."""
     description = {
         "format": _FORMAT,
         "schema": SCHEMA,
-        "task": bank.task,
+        "tasks": [bank.task for bank in banks],
         "model": kind,
         "config": config_of(model),
-        "layout": model.layout.to_json(),
-        "action_size": model.action_size,
+        "links": model.links.to_json(),
         "control": model.control.to_json(),
         "training": training,
         "metrics": metrics,
     }
-    arrays = {k: v for k in _BANK if (v := getattr(bank, k)) is not None}
-    save_arrays(folder / "scenes.npz", arrays)
+    for bank in banks:
+        bank.save(folder / f"scenes-{bank.task}.npz")
     save_weights(folder, model, description)
 
 
@@ -88,9 +82,15 @@ def resolve(checkpoint: str | Path, task: str) -> Path:
     """Folder of a checkpoint: a path, the name of a shipped one, or ``"default"`` for the task's own.
 
     Raises:
+        CheckpointError: no checkpoint of the task is shipped.
         UnknownNameError: neither a folder nor a shipped name.
     """
     shipped = {p.parent.name: p.parent for p in SHIPPED.glob("*/config.json")}
+    if str(checkpoint) == "default" and task not in shipped:
+        raise CheckpointError(
+            f"no checkpoint of task {task!r} is shipped (there are {', '.join(sorted(shipped))}); "
+            f"train one: pwm-gym collect --task {task}, then pwm-gym train --data data-sets/{task}"
+        )
     name = task if str(checkpoint) == "default" else str(checkpoint)
     if name in shipped:
         return shipped[name]
@@ -100,31 +100,33 @@ def resolve(checkpoint: str | Path, task: str) -> Path:
     return path
 
 
-def load_checkpoint(folder: str | Path, task: str | None = None, device: str = "cpu") -> Checkpoint:
+def load_checkpoint(folder: str | Path, device: str = "cpu") -> Checkpoint:
     """Read a checkpoint that :func:`save_checkpoint` wrote; the model is in evaluation mode on ``device``.
 
     Raises:
-        CheckpointError: truncated, foreign, of another task, or of a newer schema.
+        CheckpointError: truncated, foreign, or of a newer schema.
     """
     folder = Path(folder)
-    description = read_description(folder, _FORMAT, SCHEMA, _KEYS)
-    if task is not None and description["task"] != task:
-        raise CheckpointError(f"{folder} is a checkpoint of task {description['task']!r}; expected {task!r}")
-    layout = Layout.from_json(description["layout"])
+    description = read_description(folder, _FORMAT, SCHEMA, ())
+    if description.get("schema") == 1:
+        raise CheckpointError(
+            f"{folder} is a checkpoint of version 0.1, whose weights do not fit; "
+            "train it again from its data set, which loads as it is: pwm-gym train --data DATA"
+        )
+    if missing := _KEYS - description.keys():
+        raise CheckpointError(f"{folder}/config.json lacks {', '.join(sorted(missing))}")
+    try:
+        links = Layout.from_json(description["links"])
+    except ValueError as error:
+        raise CheckpointError(f"{folder}: {error}") from error
     control = Control.from_json(description["control"])
     with torch.random.fork_rng(devices=[]):  # fresh weights are drawn only to be replaced
-        model = build_model(description["model"], layout, description["action_size"], control, description["config"])
+        model = build_model(description["model"], links, control, description["config"])
     load_weights(model, folder)
-    bank = _bank(folder / "scenes.npz", description["task"], layout)
-    return Checkpoint(model.to(device), description["task"], description["model"], description, bank)  # type: ignore[arg-type]
-
-
-def _bank(path: Path, task: str, layout: Layout) -> SceneBank:
-    complaint = "is truncated or not a scene bank"
-    arrays, _ = load_arrays(path, complaint, CheckpointError)
-    if missing := [name for name in _BANK[:3] if name not in arrays]:
-        raise CheckpointError(f"{path} {complaint} (it lacks {', '.join(missing)})")
-    return SceneBank(task, layout, **{name: arrays[name] for name in _BANK if name in arrays})
+    paths = sorted(folder.glob("scenes-*.npz"))
+    banks = {bank.task: bank for bank in map(SceneBank.load, paths)}
+    tasks = tuple(map(str, description["tasks"]))
+    return Checkpoint(model.to(device), description["model"], tasks, description, banks, folder)  # type: ignore[arg-type]
 
 
 def use_device(device: str) -> torch.device:

@@ -15,7 +15,8 @@ __all__ = ["WorldModel", "rollout"]
 class WorldModel(Protocol):
     """Action-conditioned dynamics of a completed point cloud (paper, section 3, "3D Point World Model")."""
 
-    layout: Layout
+    links: Layout
+    """The entities of its robot."""
     action_size: int
 
     def prepare(self, state: State) -> State:

@@ -11,6 +11,7 @@ from torch import Tensor, nn
 
 from pwm_gym.robots import Control
 from pwm_gym.scene import Layout, PointState, RigidState, State
+from pwm_gym.scene.joint import JOINT_KINDS
 
 __all__ = ["PointwiseConfig", "PointwiseModel", "velocity_head"]
 
@@ -25,7 +26,8 @@ class PointwiseConfig:
     """Points of each entity, its cloud's first, that a rigid model reads, and that any is trained on; 0 is all. A model
     that is not rigid moves all the points it is given, as well as it can where they are more than it was trained on."""
     entity_features: bool = False
-    """Whether a point's features tell its entity (one-hot; ParticleFormer's instance segmentation)."""
+    """Whether a point's features tell its entity (ParticleFormer's instance segmentation): one-hot for the links and
+    for kinds of joints, and where the point is in its entity, so that objects may have any number and order."""
     position_scale: float = 0.1
     """Metres that the network sees as 1."""
     velocity_scale: float = 0.01
@@ -39,21 +41,20 @@ class PointwiseModel(nn.Module, ABC):
     the robot base's frame: table and gravity depend on it.
 
     Args:
-        layout: the scene's entities; a state may have other counts of points.
-        action_size: A.
+        layout: entities of a scene; those that the robot drives are what the model belongs to.
         control: what the action's components mean.
         config: hyper-parameters.
     """
 
-    def __init__(self, layout: Layout, action_size: int, control: Control | None, config: Any) -> None:
+    def __init__(self, layout: Layout, control: Control | None, config: Any) -> None:
         super().__init__()
-        self.layout, self.action_size, self.control = layout, action_size, control or Control()
-        self.config = config
+        self.links, self.control, self.config = layout.robot(), control or Control(), config
+        self.action_size = self.control.size
 
     @property
     def channels(self) -> int:
         """Features a point."""
-        return 9 + (len(self.layout) if self.config.entity_features else 0)
+        return 9 + (len(self.links) + len(JOINT_KINDS) + 6 if self.config.entity_features else 0)
 
     @property
     def moved_points(self) -> int:
@@ -92,7 +93,7 @@ class PointwiseModel(nn.Module, ABC):
         velocity: Tensor,
         previous_velocity: Tensor,
         action: Tensor,
-        layout: Layout | None = None,
+        layout: Layout,
     ) -> Tensor:
         """Velocities of the next step (B, N, 3) in metres a step.
 
@@ -101,18 +102,28 @@ class PointwiseModel(nn.Module, ABC):
             velocity: v_t (B, N, 3) in metres a step.
             previous_velocity: v_{t-1} (B, N, 3).
             action: a_t (B, A) in [-1, 1].
-            layout: of these points; None is the model's own.
+            layout: of these points.
         """
-        layout = layout or self.layout
         positions = points - _effector_mean(points, layout)
         height = points[..., 2:] / self.config.position_scale
         motion = torch.cat([velocity, previous_velocity], -1) / self.config.velocity_scale
         rows = torch.cat([positions[..., :2] / self.config.position_scale, height, motion], -1)
         if self.config.entity_features:
-            ids = torch.as_tensor(layout.ids, dtype=torch.long, device=points.device)
-            hot = nn.functional.one_hot(ids, len(layout)).to(rows)
-            rows = torch.cat([rows, hot.expand(len(rows), -1, -1)], -1)
+            rows = torch.cat([rows, self._of_entities(points, layout)], -1)
         return self.network(rows, positions, action) * self.config.velocity_scale
+
+    def _of_entities(self, points: Tensor, layout: Layout) -> Tensor:
+        """What each point's features tell of its entity (B, N, K)."""
+        names, told = self.links.names, []
+        for e in layout:
+            own = points[:, e.slice]
+            offset, size = own - own.mean(1, keepdim=True), own.amax(1, keepdim=True) - own.amin(1, keepdim=True)
+            place = names.index(e.name) if e.driven else len(names) + JOINT_KINDS.index(e.joint.kind)
+            hot = points.new_zeros(len(names) + len(JOINT_KINDS))
+            hot[place] = 1.0
+            shape = torch.cat([offset, size.expand_as(offset)], -1) / self.config.position_scale
+            told.append(torch.cat([hot.expand(*own.shape[:2], -1), shape], -1))
+        return torch.cat(told, 1)
 
     def _velocities(self, state: State, action: Tensor) -> Tensor:
         return self(state.points(), state.velocity(), state.previous_velocity(), action, state.layout)

@@ -26,8 +26,8 @@ class ModelKind:
 
     config: type
     """Frozen dataclass of its hyper-parameters."""
-    build: Callable[[Layout, int, Control, Any], nn.Module]
-    """Layout, action size, meaning of the action and config -> model."""
+    build: Callable[[Layout, Control, Any], nn.Module]
+    """Layout, meaning of the action and config -> model."""
 
 
 MODELS: dict[str, ModelKind] = {
@@ -55,7 +55,6 @@ def model_kind(name: str) -> ModelKind:
 def build_model(
     name: str,
     layout: Layout,
-    action_size: int,
     control: Control,
     config: Mapping[str, Any] | None = None,
 ) -> nn.Module:
@@ -67,7 +66,7 @@ def build_model(
         if key not in known:
             raise CheckpointError(str(unknown_name(f"{name} setting", key, known)))
     plain = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
-    return kind.build(layout, action_size, control, kind.config(**plain))
+    return kind.build(layout, control, kind.config(**plain))
 
 
 def config_of(model: Any) -> dict[str, Any]:

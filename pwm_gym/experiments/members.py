@@ -194,12 +194,12 @@ def _digest(checkpoint: Path) -> str:
 def _model(member: Member, data: Path, out: Path, task: Task) -> WorldModel:
     """The member's model, trained where it is not yet."""
     if member.kind == "checkpoint":
-        return load_checkpoint(resolve(member.source, task.name), task.name).model
+        return load_checkpoint(resolve(member.source, task.name)).model
     if member.kind == "row":
         threads = torch.get_num_threads()
         folder = trained("rollout", member.source, data, out, task.name)
         torch.set_num_threads(threads)  # a training sets its own
-        return load_checkpoint(folder, task.name).model
+        return load_checkpoint(folder).model
     if member.kind == "simulator":
         return SimulatorModel(task.simulator(), task.layout, task.name, task.goal_size)
     return fit_baseline(member.source, task, load_split(data, "train", task.name))

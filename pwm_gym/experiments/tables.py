@@ -262,7 +262,7 @@ def _run(piece: _Piece) -> None:
     """Train and evaluate one piece."""
     prepare_process(threads=1)
     row, task = piece.row, get_task(piece.task)
-    checkpoint = load_checkpoint(_fit(piece), piece.task)
+    checkpoint = load_checkpoint(_fit(piece))
     model, training = checkpoint.model, checkpoint.description["training"]
     test = load_split(piece.data, "test", piece.task)
     start = None

@@ -45,7 +45,7 @@ class ArmKinematics(nn.Module):
             "axis_parts": rotation_parts(axes),  # (3, 3, 3, 3), of turns about x, y and z
             "mount": mount,
             "tool": tool,
-            "grip": make_pose(axes, tool),  # the tool's frame in the root link's
+            "grip": make_pose(axes, tool),  # the tool's frame in the hand's
             "lower": torch.tensor(arm.lower),
             "upper": torch.tensor(arm.upper),
             "rest": torch.tensor(arm.rest),
@@ -63,7 +63,7 @@ class ArmKinematics(nn.Module):
         return torch.stack(poses, -3)
 
     def forward(self, joints: Tensor) -> Tensor:
-        """Pose (..., 4, 4) of the end effector's root link at joint angles (..., J)."""
+        """Pose (..., 4, 4) of the end effector's hand at joint angles (..., J)."""
         return self.frames(joints)[..., -1, :, :] @ self.mount.to(joints)
 
     def jacobian(self, frames: Tensor, point: Tensor) -> Tensor:
@@ -76,7 +76,7 @@ class ArmKinematics(nn.Module):
         """Inverse kinematics by damped Gauss-Newton steps.
 
         Args:
-            goal: pose (..., 4, 4) of the root link.
+            goal: pose (..., 4, 4) of the hand.
             start: joint angles (..., J) to begin at; the solution is close to them.
             iterations: steps.
             rate: share of each step that is taken; less finds solutions past which whole steps shoot.
@@ -128,9 +128,9 @@ class ArmKinematics(nn.Module):
         """Joint angles (..., J) within their limits."""
         return torch.minimum(torch.maximum(joints, self.lower), self.upper)
 
-    def _tool(self, root: Tensor) -> Tensor:
-        """Pose (..., 4, 4) of the tool on a root link at (..., 4, 4)."""
-        return root @ self.grip.to(root)
+    def _tool(self, hand: Tensor) -> Tensor:
+        """Pose (..., 4, 4) of the tool on a hand at (..., 4, 4)."""
+        return hand @ self.grip.to(hand)
 
 
 def _error(goal: Tensor, tool: Tensor) -> Tensor:

@@ -160,9 +160,18 @@ class Layout:
         """This layout with further entities, whose points follow."""
         entities = [*self.entities]
         for other in others:
-            start = entities[-1].stop
+            start = entities[-1].stop if entities else 0
             entities.append(replace(other, start=start, stop=start + other.points))
         return replace(self, entities=tuple(entities))
+
+    def robot(self) -> Layout:
+        """The driven entities alone: what a world model belongs to."""
+        return replace(self, supports=()).only([e.name for e in self if e.driven])
+
+    def only(self, names: Sequence[str]) -> Layout:
+        """The entities of these names alone, in this layout's order."""
+        kept = [e for e in self if e.name in names]
+        return replace(self, entities=()).plus(kept)
 
     @property
     def names(self) -> tuple[str, ...]:

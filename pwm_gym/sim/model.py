@@ -27,7 +27,8 @@ class SimulatorModel:
     """
 
     def __init__(self, simulator: Simulator, layout: Layout, task: str, goal_size: int) -> None:
-        self.layout, self.action_size, self._simulator = layout, simulator.action_size, simulator
+        self.links, self.layout = layout.robot(), layout
+        self.action_size, self._simulator = simulator.action_size, simulator
         self._task, self._goal = task, np.zeros(goal_size, np.float32)
         simulator.reset(0)
 

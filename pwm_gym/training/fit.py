@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, cast
@@ -13,19 +13,21 @@ import torch
 from torch import nn
 
 from pwm_gym.data.augment import Reframed
+from pwm_gym.data.batch import Batch, Batches
 from pwm_gym.data.dataset import Dataset, load_split, read_header
 from pwm_gym.data.episodes import KINDS
 from pwm_gym.data.partial import PartialWindows, visible_split
-from pwm_gym.data.windows import Windows
+from pwm_gym.data.windows import Windows, mixed
 from pwm_gym.dynamics.checkpoint import SceneBank, save_checkpoint, use_device
+from pwm_gym.dynamics.compact.arm import ArmResponse
 from pwm_gym.dynamics.model import WorldModel
 from pwm_gym.dynamics.registry import build_model
 from pwm_gym.errors import DatasetError, unknown_name
 from pwm_gym.learning import Clock, has_state, leads
-from pwm_gym.tasks import Task, get_task
+from pwm_gym.tasks import get_task
 from pwm_gym.training.losses import TrainConfig, train
 
-__all__ = ["BANK", "FitConfig", "fit", "fit_baseline", "fit_error", "scene_bank"]
+__all__ = ["BANK", "FitConfig", "fit", "fit_baseline", "fit_error", "fit_response", "load_sources", "scene_bank"]
 
 BANK = 256
 """Initial scenes that a checkpoint carries."""
@@ -41,12 +43,11 @@ _VIEWS = ("complete", "partial")
 class FitConfig:
     """What to train on what."""
 
-    task: str = "PickCube"
-    """Registered task."""
     data: tuple[Path, ...] = (Path("data-sets/PickCube"),)
-    """Folders of data sets of the task (``pwm-gym collect``); their training splits are joined."""
-    out: Path = Path("runs/PickCube")
-    """Folder of the run: TensorBoard curves, the state to resume from, and ``checkpoint``."""
+    """Folders of data sets (``pwm-gym collect``), of one task or of several tasks of a robot."""
+    out: Path | None = None
+    """Folder of the run: TensorBoard curves, the state to resume from, and ``checkpoint``; by default ``runs/`` and the
+    tasks' names."""
     model: str = "compact"
     """Registered kind of world model."""
     settings: dict[str, int | float | bool | str] = field(default_factory=dict)
@@ -76,105 +77,171 @@ def fit(config: FitConfig, training: TrainConfig, validate: Validate, progress: 
         progress: whether to show bars.
 
     Raises:
-        DatasetError: a data set is missing, truncated or of another task.
+        DatasetError: a data set is missing, truncated, or of another robot than the others.
     """
-    task = get_task(config.task)
     use_device(training.device)
-    splits = [load_split(folder, "train", task.name) for folder in config.data]
-    dataset = _chosen(_joined(splits), config)
-    held_out = load_split(config.data[0], "validation", task.name)
-    windows, held_out_seen = Windows(dataset, config.boost), None
-    if config.view not in _VIEWS:
-        raise unknown_name("view", config.view, _VIEWS)
-    if config.view == "partial":
-        if config.episodes or config.kinds or len(config.data) > 1:
-            raise DatasetError("view='partial' trains on all episodes of one data set; expected no choice of them")
-        folder = config.data[0]
-        windows = PartialWindows(dataset, visible_split(folder, "train", task, dataset), boost=config.boost)
-        held_out_seen = visible_split(folder, "validation", task, held_out)
+    sources = load_sources(config.data, "train")
+    tasks = [get_task(dataset.task) for dataset in sources]
+    out = config.out or Path("runs") / "-".join(task.name for task in tasks)
+    sources = [_chosen(dataset, config, len(sources)) for dataset in sources]
+    held_out = load_sources(config.data, "validation")
+    windows, seen = _windows(config, sources, held_out)
     clock = Clock()
     torch.set_num_threads(training.threads)  # before the fits: sums depend on it, and a resumed run must find the same
     torch.manual_seed(training.seed)
-    model = build_model(config.model, task.layout, task.action_size, task.control, config.settings)
-    if not has_state(config.out):  # a resumed run reads what was fitted
-        _fit_response(model, dataset, config.arm_steps)
-    checkpoint = config.out / "checkpoint"
+    model = build_model(config.model, sources[0].layout, tasks[0].control, config.settings)
+    if not has_state(out):  # a resumed run reads what was fitted
+        fit_response(model, sources, config.arm_steps)
+    checkpoint = out / "checkpoint"
     description: dict[str, Any] = {
         "config": json.loads(json.dumps(asdict(training), default=str)),
-        "data": _describe(config, dataset),
+        "data": _describe(config, sources),
         "windows_boost": config.boost,
     }
-    bank = scene_bank(task, dataset)
+    banks = [scene_bank(dataset) for dataset in sources]
 
     def save(trained: nn.Module, metrics: dict[str, float]) -> None:
         description.update(clock.spent())
-        save_checkpoint(checkpoint, trained, config.model, bank, description, {"validation": metrics})
+        save_checkpoint(checkpoint, trained, config.model, banks, description, {"validation": metrics})
 
     def measure(trained: Any) -> dict[str, float]:
-        return validate(trained, held_out, held_out_seen)
+        if len(held_out) == 1:
+            return validate(trained, held_out[0], seen)
+        found = {dataset.task: validate(trained, dataset, None) for dataset in held_out}
+        return {f"{task}/{name}": value for task, values in found.items() for name, value in values.items()}
 
-    metrics = train(model, Reframed(windows), training, config.out, measure, save, progress, clock)
+    metrics = train(model, Reframed(windows), training, out, measure, save, progress, clock)
     if leads() and getattr(model, "error", None) is not None:
-        fit_error(model, dataset, config.error_steps)
+        fit_error(model, sources, config.error_steps)
         save(model, metrics or measure(model))  # a resumed run may have had nothing left to train
     return checkpoint
 
 
-def _joined(splits: list[Dataset]) -> Dataset:
-    first = splits[0]
-    return Dataset(first.task, first.layout, first.clouds, tuple(e for s in splits for e in s.episodes))
+def _windows(config: FitConfig, sources: list[Dataset], held_out: list[Dataset]) -> tuple[Batches, np.ndarray | None]:
+    """Training windows, and the validation's visible points where the view is partial."""
+    if config.view not in _VIEWS:
+        raise unknown_name("view", config.view, _VIEWS)
+    if config.view == "complete":
+        return mixed([Windows(dataset, config.boost) for dataset in sources]), None
+    if config.episodes or config.kinds or len(config.data) > 1:
+        raise DatasetError("view='partial' trains on all episodes of one data set; expected no choice of them")
+    folder, task = config.data[0], get_task(sources[0].task)
+    seen = visible_split(folder, "train", task, sources[0])
+    return PartialWindows(sources[0], seen, boost=config.boost), visible_split(folder, "validation", task, held_out[0])
 
 
-def _chosen(dataset: Dataset, config: FitConfig) -> Dataset:
-    """The training episodes that ``config`` asks for."""
+def load_sources(folders: Sequence[Path], split: str) -> list[Dataset]:
+    """One data set a task, of all episodes of ``split`` in ``folders``.
+
+    Raises:
+        DatasetError: none is given, two have an asset of one name with other points, or their robots differ.
+    """
+    if not folders:
+        raise DatasetError("data: no folder was given; expected at least one data set")
+    by_task: dict[str, Dataset] = {}
+    for folder in folders:
+        dataset = load_split(folder, split)
+        known = by_task.get(dataset.task)
+        by_task[dataset.task] = dataset if known is None else joined(known, dataset)
+    sources = list(by_task.values())
+    first = get_task(sources[0].task).robot
+    for dataset in sources[1:]:
+        robot = get_task(dataset.task).robot
+        if robot.control != first.control or dataset.layout.robot().names != sources[0].layout.robot().names:
+            raise DatasetError(
+                f"task {dataset.task!r} has robot {robot.name!r} and {sources[0].task!r} has {first.name!r}; "
+                "expected data sets of one robot"
+            )
+    return sources
+
+
+def joined(first: Dataset, second: Dataset) -> Dataset:
+    """The episodes of two data sets of one task.
+
+    Raises:
+        DatasetError: their layouts differ, or an asset's points.
+    """
+    if first.layout != second.layout:
+        raise DatasetError(f"two data sets of task {first.task!r} have other entities or numbers of points")
+    for name in first.assets.keys() & second.assets.keys():
+        if not np.array_equal(first.assets[name], second.assets[name]):
+            raise DatasetError(f"two data sets of task {first.task!r} have other canonical points of {name!r}")
+    return replace(first, assets={**first.assets, **second.assets}, episodes=first.episodes + second.episodes)
+
+
+def _chosen(dataset: Dataset, config: FitConfig, tasks: int) -> Dataset:
+    """The training episodes that ``config`` asks for, a task's share of them."""
     if config.kinds:
         dataset = dataset.of_kinds(config.kinds)
-    count = len(dataset.episodes)
-    if config.episodes > count:
-        raise DatasetError(f"episodes={config.episodes}; the data has {count}")
-    if config.episodes:
-        index = np.linspace(0, count - 1, config.episodes).round().astype(int)
+    count, wanted = len(dataset.episodes), config.episodes // tasks
+    if wanted > count:
+        raise DatasetError(f"episodes={config.episodes}; the data has {count} of task {dataset.task!r}")
+    if wanted:
+        index = np.linspace(0, count - 1, wanted).round().astype(int)
         dataset = replace(dataset, episodes=tuple(dataset.episodes[i] for i in index))
     return dataset
 
 
-def _fit_response(model: nn.Module, dataset: Dataset, arm_steps: int) -> None:
-    """The parts of a model that are fitted on every training transition before it is trained on rollouts."""
-    response, arm = getattr(model, "response", None), getattr(model, "arm", None)
-    if response is None and arm is None:
+@torch.no_grad()
+def _links(model: Any, batch: Batch, poses: torch.Tensor) -> torch.Tensor:
+    """Poses (..., L, 4, 4) of a model's links, of all entities' (..., E, 4, 4)."""
+    return poses[..., [batch.layout.index(name) for name in model.links.names], :, :]
+
+
+def fit_response(model: Any, sources: Sequence[Dataset], arm_steps: int) -> None:
+    """The parts of a model that are fitted on every training transition before it is trained on rollouts.
+
+    Args:
+        model: any; what has no such part is left alone.
+        sources: training episodes, one data set a task.
+        arm_steps: optimiser steps on the response of a known arm's joints.
+    """
+    robot = getattr(model, "robot", None)
+    response = getattr(model if robot is None else robot, "response", None)
+    if response is None:
         return
-    every = Windows(dataset).transitions()
-    if response is not None:
-        response.fit(every.frames, every.actions[:, 0], every.following[:, 0])
-    if arm is not None:
-        arm.fit(every.joints, every.actions[:, 0], every.following_joints[:, 0], arm_steps)
+    every = [Windows(dataset).transitions() for dataset in sources]
+    actions = torch.cat([b.actions[:, 0] for b in every])
+    frames = torch.cat([_links(model, b, b.frames) for b in every])
+    response.fit(frames, actions, torch.cat([_links(model, b, b.following[:, 0]) for b in every]))
+    if robot is not None and robot.joints:
+        joints = torch.cat([b.joints for b in every])
+        following = torch.cat([b.following_joints[:, 0] for b in every])
+        floor = max((s.origin[2] + s.half[2] for b in every for s in b.layout.supports), default=-1e3)
+        known = iter(robot.robot_slices)
+        for arm in robot.arms:
+            if isinstance(arm, ArmResponse):
+                own = next(known)
+                arm.fit(joints[..., own], actions, following[..., own], arm_steps, floor)
 
 
 @torch.no_grad()
-def fit_error(model: Any, dataset: Dataset, steps: int) -> None:
-    """Fit what a trained model expects to be its error, on every transition of ``dataset`` and on rollouts of it."""
-    windows = Windows(dataset)
+def fit_error(model: Any, sources: Sequence[Dataset], steps: int) -> None:
+    """Fit what a trained model expects to be its error, on every transition of ``sources`` and on rollouts of them."""
     tokens, errors = [], []
-    for batch in windows.chunks(_ERROR_CHUNK):
-        state = model.prepare(batch.state().coarsen(dataset.layout.truncate(_ERROR_POINTS)))
-        after, seen = model.step_with_tokens(state, batch.actions[:, 0])
-        errors.append(_gaps(after, batch.following[:, 0]))
-        tokens.append(seen)
+    for dataset in sources:
+        few = dataset.layout.truncate(_ERROR_POINTS)
+        for batch in Windows(dataset).chunks(_ERROR_CHUNK):
+            state = model.prepare(batch.state().coarsen(few))
+            after, seen = model.step_with_tokens(state, batch.actions[:, 0])
+            errors.append(_gaps(after, batch.following[:, 0]).flatten())
+            tokens.append(seen.flatten(0, 1))
     with torch.enable_grad():
         model.error.fit(torch.cat(tokens), torch.cat(errors), steps)
-    _scale_error(model, windows)
+    _scale_error(model, [Windows(dataset) for dataset in sources])
 
 
 @torch.no_grad()
-def _scale_error(model: Any, windows: Windows) -> None:
+def _scale_error(model: Any, sources: Sequence[Windows]) -> None:
     """Scale the expected error so that it is right on average over rollouts."""
-    batch = windows.sample(torch.Generator().manual_seed(0), _ERROR_WINDOWS, _ERROR_HORIZON)
-    state = model.prepare(batch.state().coarsen(windows.layout.truncate(_ERROR_POINTS)))
     expected, real = 0.0, 0.0
-    for h in range(_ERROR_HORIZON):
-        state = model.step(state, batch.actions[:, h])
-        expected += float(state.error.mean())
-        real += float(_gaps(state, batch.following[:, h]).mean())
+    for windows in sources:
+        batch = windows.sample(torch.Generator().manual_seed(0), _ERROR_WINDOWS, _ERROR_HORIZON)
+        state = model.prepare(batch.state().coarsen(windows.layout.truncate(_ERROR_POINTS)))
+        for h in range(_ERROR_HORIZON):
+            state = model.step(state, batch.actions[:, h])
+            expected += float(state.error.mean())
+            real += float(_gaps(state, batch.following[:, h]).mean())
     model.error.factor.mul_(real / max(expected, 1e-12))
 
 
@@ -184,33 +251,40 @@ def _gaps(state: Any, truth: torch.Tensor) -> torch.Tensor:
     return torch.stack([gaps[:, e.slice].mean(1) for e in state.layout], 1)
 
 
-def fit_baseline(kind: str, task: Task, dataset: Dataset) -> WorldModel:
+def fit_baseline(kind: str, dataset: Dataset) -> WorldModel:
     """A baseline without learning; what response it has is fitted on every transition of ``dataset``."""
-    model: Any = build_model(kind, task.layout, task.action_size, task.control)
-    _fit_response(model, dataset, arm_steps=0)
+    model: Any = build_model(kind, dataset.layout, get_task(dataset.task).control)
+    fit_response(model, [dataset], arm_steps=0)
     return cast("WorldModel", model)
 
 
-def _describe(config: FitConfig, dataset: Dataset) -> dict[str, Any]:
+def _describe(config: FitConfig, sources: Sequence[Dataset]) -> dict[str, Any]:
     """What the training data is, for the checkpoint's description."""
-    kinds = np.bincount([e.kind for e in dataset.episodes], minlength=len(KINDS))
+    episodes = [e for dataset in sources for e in dataset.episodes]
+    kinds = np.bincount([e.kind for e in episodes], minlength=len(KINDS))
     return {
-        "settings": [read_header(folder)["settings"] for folder in config.data],
+        "settings": [read_header(folder).settings for folder in config.data],
+        "tasks": {dataset.task: len(dataset.episodes) for dataset in sources},
         "episodes": dict(zip(KINDS, map(int, kinds), strict=True)),
-        "transitions": sum(len(e) for e in dataset.episodes),
+        "transitions": sum(map(len, episodes)),
+        "joints": sorted({e.joint.kind for dataset in sources for e in dataset.layout if not e.driven}),
         "view": config.view,
         "source": "ManiSkill 3 simulation (Apache-2.0), scripted expert",
     }
 
 
-def scene_bank(task: Task, dataset: Dataset) -> SceneBank:
+def scene_bank(dataset: Dataset) -> SceneBank:
     """Initial scenes of the first training episodes."""
     chosen = dataset.episodes[:BANK]
+    used = sorted({int(k) for k in dataset.combination_of[:BANK]})
+    named = any(e.assets for e in chosen)
     return SceneBank(
-        task.name,
+        dataset.task,
         dataset.layout,
-        dataset.clouds,
+        dataset.clouds[used],
         np.stack([e.poses[0] for e in chosen]),
         np.stack([e.goal for e in chosen]),
+        np.array([used.index(int(k)) for k in dataset.combination_of[:BANK]]),
+        tuple(dataset.combinations[k] for k in used) if named else (),
         np.stack([e.joints[0, 0] for e in chosen]),
     )

@@ -34,13 +34,11 @@ class GraphConfig(PointwiseConfig):
 class GraphModel(PointwiseModel):
     """Nodes are points with the action in their features; each hears its nearest neighbours a few times."""
 
-    def __init__(
-        self, layout: Layout, action_size: int, control: Control | None = None, config: GraphConfig | None = None
-    ) -> None:
+    def __init__(self, layout: Layout, control: Control | None = None, config: GraphConfig | None = None) -> None:
         config = config or GraphConfig()
-        super().__init__(layout, action_size, control, config)
+        super().__init__(layout, control, config)
         width = config.width
-        self.node = _mlp(self.channels + action_size, width)
+        self.node = _mlp(self.channels + self.action_size, width)
         self.edge = _mlp(4, width)
         self.receive, self.send = nn.Linear(width, width), nn.Linear(width, width, bias=False)
         self.message = nn.Linear(width, width)

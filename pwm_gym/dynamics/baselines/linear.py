@@ -1,7 +1,7 @@
 """World models without learning: what any learned one has to beat.
 
-``still``: nothing moves. ``commanded``: the end effector goes where it is told at once. ``linear``: it follows its
-fitted linear response, a grasped object is attached to it, and a released one falls to its support.
+``still``: nothing moves. ``commanded``: hands go where they are told at once. ``linear``: they follow their fitted
+linear response, a grasped object is attached to its hand, and a released one falls to its support.
 """
 
 from __future__ import annotations
@@ -12,42 +12,32 @@ import torch
 from torch import Tensor, nn
 
 from pwm_gym.dynamics.response import LinearResponse
-from pwm_gym.robots import Control
+from pwm_gym.robots import Arm, Control
 from pwm_gym.scene import Layout, RigidState, State
 from pwm_gym.scene.se3 import inverse, make_pose, rotation_from_vector, transform
 
 __all__ = ["BaselineConfig", "Commanded", "LinearBaseline", "Still"]
 
 _GRAVITY = 9.81
+_REACHES = 0.01  # metres by which what is below an object may reach above its lowest point and still support it
+_FLOOR = -1e3  # metres: of a scene without one
 
 
 @dataclass(frozen=True)
 class BaselineConfig:
-    """The controller's units and the grasp rule."""
+    """The grasp rule."""
 
-    position_unit: float = 0.1
-    """Metres per unit of translation."""
-    rotation_unit: float = -0.1
-    """Radians per unit of rotation."""
     reach: float = 0.025
     """Metres between the tool centre and the object's within which a shut gripper holds it (paper, appendix)."""
-    time_step: float = 0.05
-    """Seconds per control step."""
 
 
 class Still(nn.Module):
     """Nothing moves."""
 
-    def __init__(
-        self,
-        layout: Layout,
-        action_size: int,
-        control: Control | None = None,
-        config: BaselineConfig | None = None,
-    ) -> None:
+    def __init__(self, layout: Layout, control: Control | None = None, config: BaselineConfig | None = None) -> None:
         super().__init__()
-        self.layout, self.action_size, self.config = layout, action_size, config or BaselineConfig()
-        self.control = control or Control()
+        self.links, self.control, self.config = layout.robot(), control or Control(), config or BaselineConfig()
+        self.action_size = self.control.size
 
     def prepare(self, state: State) -> State:
         """Entity poses of ``state``."""
@@ -60,81 +50,119 @@ class Still(nn.Module):
 
 
 class LinearBaseline(Still):
-    """The end effector's linear response; objects attach and detach by the grasp rule and fall when let go."""
+    """The robot's linear response; objects attach and detach by the grasp rule and fall when let go."""
 
-    def __init__(
-        self,
-        layout: Layout,
-        action_size: int,
-        control: Control | None = None,
-        config: BaselineConfig | None = None,
-    ) -> None:
-        super().__init__(layout, action_size, control, config)
-        self.response = LinearResponse(layout, action_size)
-        self._free = [i for i, e in enumerate(layout) if not e.driven]
+    def __init__(self, layout: Layout, control: Control | None = None, config: BaselineConfig | None = None) -> None:
+        super().__init__(layout, control, config)
+        self.response = LinearResponse(self.links, self.action_size)
 
     def step(self, state: State, action: Tensor) -> State:
         """State (B,) one step later."""
         assert isinstance(state, RigidState)
-        effector, now = self.response.effector, state.poses()
-        root = now[:, effector.root]
-        step, openings = self._command(state, action)
-        position = self.response.confine(root[:, :3, 3] + step[:, :3])
-        moved_root = make_pose(rotation_from_vector(step[:, 3:]) @ root[:, :3, :3], position)
-        held = {k: self._held(state, k, action) for k in self._free}
-        openings = self._stop_at_object(openings, effector.openings(state.frames)[:, 0], held)
-        moved = list(now.unbind(1))
-        moved[effector.root] = moved_root
-        for k, pose in zip(effector.sliding, effector.links(moved_root, openings).unbind(1), strict=True):
+        driven = [state.layout.index(name) for name in self.links.names]
+        links, moved = state.frames[:, :, driven], list(state.poses().unbind(1))
+        held = {k: self._held(state, k, action) for k in state.layout.loose}
+        after = self._robot(links, action, list(held.values()))
+        for k, pose in zip(driven, after.unbind(1), strict=True):
             moved[k] = pose
-        for k in self._free:
-            carried = moved_root @ inverse(root) @ now[:, k]
-            moved[k] = torch.where(held[k][:, None, None], carried, self._fall(state, k))
+        for k, by_hand in held.items():
+            moved[k] = self._fall(state, k)
+            for hand, holds in zip(self.response.hands, by_hand, strict=True):
+                carried = after[:, hand] @ inverse(links[:, 0, hand]) @ state.poses()[:, k]
+                moved[k] = torch.where(holds[:, None, None], carried, moved[k])
         return state.advance(torch.stack(moved, 1))
 
-    def _command(self, state: RigidState, action: Tensor) -> tuple[Tensor, Tensor]:
-        """World-frame twist (B, 6) of the root link and next openings (B, S)."""
-        openings = self.response.effector.openings(state.frames)
-        step, slide = self.response(state.frames, openings, action)
-        return step, self.response.effector.limit(openings[:, 0] + slide)
+    def _robot(self, links: Tensor, action: Tensor, held: list[list[Tensor]]) -> Tensor:
+        """Next poses (B, L, 4, 4) of the links."""
+        tree, now = self.response.tree, links[:, 0, self.response.hands]
+        step = self._hand_steps(links, action)
+        position = self.response.confine(now[..., :3, 3] + step[..., :3])
+        hands = make_pose(rotation_from_vector(step[..., 3:]) @ now[..., :3, :3], position)
+        moved = list(links[:, 0].unbind(1))
+        for k, pose in zip(self.response.hands, hands.unbind(1), strict=True):
+            moved[k] = pose
+        before = tree.positions(links)
+        joints = tree.limit(self._joints(before, action))
+        for holds in (h for by_hand in held for h in by_hand):  # fingers around a held object stay where they are
+            joints = torch.where(holds.unsqueeze(-1), torch.maximum(joints, before[:, 0]), joints)
+        return tree.place(torch.stack(moved, 1), joints)
 
-    def _held(self, state: RigidState, k: int, action: Tensor) -> Tensor:
-        """Whether (B,) entity ``k`` is near the tool centre and the gripper is commanded shut."""
-        names = state.layout.names
-        near = (state.entity(names[k]).mean(1) - self._tool(state)).norm(dim=-1) <= self.config.reach
-        return near & (action[:, -1] < 0)
+    def _hand_steps(self, links: Tensor, action: Tensor) -> Tensor:
+        """World-frame twists (B, H, 6) of the hands."""
+        return self.response.hand_twists(links, action)
 
-    def _tool(self, state: RigidState) -> Tensor:
-        """Tool centre (B, 3): the arm's own, or the centre of the links that slide."""
-        effector, names = self.response.effector, state.layout.names
-        if self.control.arms and self.control.arms[0].chain is not None:
-            tool = state.clouds.new_tensor([self.control.arms[0].chain.tool])
-            return transform(state.poses()[:, effector.root], tool).squeeze(-2)
-        links = effector.sliding or [effector.root]
-        return torch.stack([state.entity(names[i]).mean(1) for i in links]).mean(0)
+    def _joints(self, positions: Tensor, action: Tensor) -> Tensor:
+        """Next positions (B, S) of the driven joints, before their limits."""
+        return positions[:, 0] + self.response.joint_step(positions, action)
 
-    @staticmethod
-    def _stop_at_object(openings: Tensor, before: Tensor, held: dict[int, Tensor]) -> Tensor:
-        """Openings (B, S): fingers around a held object stay where they are."""
-        for grasped in held.values():
-            openings = torch.where(grasped.unsqueeze(-1), torch.maximum(openings, before), openings)
-        return openings
+    def _held(self, state: RigidState, k: int, action: Tensor) -> list[Tensor]:
+        """Whether (B,) entity ``k`` is near each hand's tool centre and its gripper is commanded shut."""
+        centre = state.entity(state.layout.names[k]).mean(1)
+        out = []
+        for hand in self.response.hands:
+            arm = next((a for a in self.control.arms if a.hand == self.links.names[hand]), None)
+            gripper = self.control.channel(arm.name, "gripper") if arm else None
+            shut = action[:, gripper.start] < 0 if gripper else torch.zeros(len(action), dtype=torch.bool)
+            near = (centre - self._tool(state, hand, arm)).norm(dim=-1) <= self.config.reach
+            out.append(near & shut.to(near.device))
+        return out
+
+    def _tool(self, state: RigidState, hand: int, arm: Arm | None) -> Tensor:
+        """Tool centre (B, 3): the arm's own, or the centre of the links that hang on the hand."""
+        name = self.links.names[hand]
+        if arm is not None and arm.chain is not None:
+            tool = state.clouds.new_tensor([arm.chain.tool])
+            return transform(state.poses()[:, state.layout.index(name)], tool).squeeze(-2)
+        fingers = [e.name for e in self.links if e.joint.parent == name] or [name]
+        return torch.stack([state.entity(n).mean(1) for n in fingers]).mean(0)
 
     def _fall(self, state: RigidState, k: int) -> Tensor:
-        """Pose (B, 4, 4) of a free object: down by gravity until its lowest point touches the table (z = 0)."""
+        """Pose (B, 4, 4) of a loose object: down by gravity until its lowest point touches what is below it."""
         pose, before = state.frames[:, 0, k], state.frames[:, 1, k]
-        lowest = transform(pose, state.clouds[:, state.layout.entities[k].slice])[..., 2].amin(1)
-        drop = (before[:, 2, 3] - pose[:, 2, 3]).clamp_min(0) + _GRAVITY * self.config.time_step**2
+        points = state.entity(state.layout.names[k])
+        room = points[..., 2].amin(1) - self._support(state, k, points)
+        drop = (before[:, 2, 3] - pose[:, 2, 3]).clamp_min(0) + _GRAVITY * self.control.period**2
         offset = torch.zeros_like(pose[:, :3, 3])
-        offset[:, 2] = -torch.minimum(drop, lowest.clamp_min(0))
+        offset[:, 2] = -torch.minimum(drop, room.clamp_min(0))
         return make_pose(pose[:, :3, :3], pose[:, :3, 3] + offset)
+
+    @staticmethod
+    def _support(state: RigidState, k: int, points: Tensor) -> Tensor:
+        """Height (B,) of the highest support or entity below an object's points (B, n, 3)."""
+        low, high = points.amin(1), points.amax(1)
+        height = points.new_full((len(points),), _FLOOR)
+        boxes = [_extent(s.origin[:3], s.half, points) for s in state.layout.supports]
+        others = [e.name for i, e in enumerate(state.layout) if i != k and not e.driven]
+        boxes += [(x.amin(1), x.amax(1)) for x in map(state.entity, others)]
+        for lowest, highest in boxes:
+            beside = ((lowest[..., :2] < high[:, :2]) & (highest[..., :2] > low[:, :2])).all(-1)
+            below = beside & (highest[..., 2] <= low[:, 2] + _REACHES)
+            height = torch.where(below, torch.maximum(height, highest[..., 2]), height)
+        return height
+
+
+def _extent(origin: tuple[float, ...], half: tuple[float, ...], like: Tensor) -> tuple[Tensor, Tensor]:
+    """Lowest and highest corner (3,) of a support whose axes are the base's."""
+    centre, size = like.new_tensor(origin), like.new_tensor(half)
+    return centre - size, centre + size
 
 
 class Commanded(LinearBaseline):
-    """The end effector reaches each command at once; the rest as in :class:`LinearBaseline`."""
+    """The hands reach each command at once; the rest as in :class:`LinearBaseline`."""
 
-    def _command(self, state: RigidState, action: Tensor) -> tuple[Tensor, Tensor]:
-        c, effector = self.config, self.response.effector
-        step = torch.cat([action[:, :3] * c.position_unit, action[:, 3:6] * c.rotation_unit], 1)
-        upper = action.new_tensor(effector.uppers)
-        return step, effector.limit(0.5 * (action[:, -1:] + 1) * upper)
+    def _hand_steps(self, links: Tensor, action: Tensor) -> Tensor:
+        steps = []
+        for hand in self.response.hands:
+            arm = next((a.name for a in self.control.arms if a.hand == self.links.names[hand]), "")
+            parts = [self.control.channel(arm, "translation"), self.control.channel(arm, "rotation")]
+            told = [c.unit * action[:, c.slice] if c else action.new_zeros(len(action), 3) for c in parts]
+            steps.append(torch.cat(told, 1))
+        return torch.stack(steps, 1) if steps else action.new_zeros(len(action), 0, 6)
+
+    def _joints(self, positions: Tensor, action: Tensor) -> Tensor:
+        gripper = self.control.of_kind("gripper")
+        if not gripper:
+            return super()._joints(positions, action)
+        tree = self.response.tree
+        share = 0.5 * (action[:, gripper[0].start, None] + 1.0)
+        return tree.lower + share * (tree.upper - tree.lower)

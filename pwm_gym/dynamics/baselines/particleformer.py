@@ -39,15 +39,14 @@ class ParticleFormer(PointwiseModel):
     def __init__(
         self,
         layout: Layout,
-        action_size: int,
         control: Control | None = None,
         config: ParticleFormerConfig | None = None,
     ) -> None:
         config = config or ParticleFormerConfig()
-        super().__init__(layout, action_size, control, config)
+        super().__init__(layout, control, config)
         width = config.width
         self.point = nn.Sequential(nn.Linear(self.channels, width), nn.GELU(), nn.Linear(width, width))
-        self.action = nn.Sequential(nn.Linear(action_size, width), nn.GELU(), nn.Linear(width, width))
+        self.action = nn.Sequential(nn.Linear(self.action_size, width), nn.GELU(), nn.Linear(width, width))
         self.layers = nn.ModuleList(
             nn.TransformerEncoderLayer(
                 width,

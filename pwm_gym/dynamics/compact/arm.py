@@ -13,9 +13,10 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from pwm_gym.robots import ArmKinematics, Control, SerialArm
+from pwm_gym.errors import PwmGymError
+from pwm_gym.robots import Arm, ArmKinematics, Control
 
-__all__ = ["STEP", "ArmOutlook", "ArmResponse"]
+__all__ = ["STEP", "ArmForecast", "ArmResponse"]
 
 _UNSOLVED = 1e-3  # metres by which a solution may miss; ManiSkill's solver gives up there, and the arm stays
 _ITERATIONS = 3
@@ -31,14 +32,14 @@ _FIT_SCALE = 0.002  # radians that count as 1 in the fit's loss
 
 
 @dataclass(frozen=True)
-class ArmOutlook:
+class ArmForecast:
     """An arm's next step as fitted, and what a model needs to correct it."""
 
     step: Tensor
-    """Of the joints' positions, and their velocities after it (B, 2, J): radians, radians a step."""
+    """Change of the joints' positions, and their velocities after it (B, 2, J): radians, radians a step."""
     features: Tensor
-    """What it follows from, and itself (B, K), of order 1; the same for a turned base."""
-    stirred: Tensor
+    """What the step follows from, and the step itself (B, K), of order 1; the same for a turned base."""
+    motion_gate: Tensor
     """0 (B, 1) where the arm rests without a command, near 1 elsewhere."""
 
 
@@ -46,17 +47,25 @@ class ArmResponse(nn.Module):
     """Joint steps under actions.
 
     Args:
-        arm: its kinematics and its controller.
+        arm: the arm; its chain is known.
+        control: its channels move the tool.
         width: channels of the remainder's network.
+
+    Raises:
+        PwmGymError: the arm has no chain, or no channel translates its tool.
     """
 
     weight: Tensor
     braking: Tensor
 
-    def __init__(self, arm: SerialArm, control: Control, width: int = 128) -> None:
+    def __init__(self, arm: Arm, control: Control, width: int = 128) -> None:
         super().__init__()
-        self.kinematics, self._control = ArmKinematics(arm), control
-        count = arm.joints
+        move = control.channel(arm.name, "translation")
+        if arm.chain is None or move is None:
+            raise PwmGymError(f"arm {arm.name!r} has no known chain, or no channel that translates its tool")
+        self.arm, self._move, self._turn = arm, move, control.channel(arm.name, "rotation")
+        self.kinematics = ArmKinematics(arm.chain)
+        count = arm.chain.joints
         self.register_buffer("weight", torch.zeros(2 * count, 2 * count))
         self.register_buffer("braking", torch.ones(()))  # velocity at a step's end over its average in the step
         self.net = nn.Sequential(
@@ -73,44 +82,52 @@ class ArmResponse(nn.Module):
 
     @property
     def features(self) -> int:
-        """Width of :attr:`ArmOutlook.features`."""
+        """Width of :attr:`ArmForecast.features`."""
         return 9 * self.kinematics.arm.joints + 2
 
-    def observe(self, root: Tensor, joints: Tensor | None) -> Tensor:
-        """Joint positions and velocities (..., 2, J) behind root poses (..., 3, 4, 4): given, or solved for."""
+    def observe(self, hand: Tensor, joints: Tensor | None) -> Tensor:
+        """Joint positions and velocities (..., 2, J) behind hand poses (..., 3, 4, 4): given, or solved for."""
         if joints is not None:
-            return joints[..., : self.kinematics.arm.joints]
-        rest = self.kinematics.rest.expand(*root.shape[:-3], -1)
-        now, _ = self.kinematics.solve(root[..., 0, :, :], rest, 20)
-        before, _ = self.kinematics.solve(root[..., 1, :, :], now, _ITERATIONS)
+            return joints
+        rest = self.kinematics.rest.expand(*hand.shape[:-3], -1)
+        now, _ = self.kinematics.solve(hand[..., 0, :, :], rest, 20)
+        before, _ = self.kinematics.solve(hand[..., 1, :, :], now, _ITERATIONS)
         return torch.stack([now, self.braking * (now - before)], -2)
 
-    def forward(self, joints: Tensor, action: Tensor, root: Tensor) -> ArmOutlook:
-        """The next step of joints (B, 2, J) under actions (B, A), with the root link at (B, 4, 4)."""
-        return self.respond(joints, self.command(joints[:, 0], action, root), root)
+    def forward(self, joints: Tensor, action: Tensor, hand: Tensor, floor: float) -> ArmForecast:
+        """The next step of joints (B, 2, J) under actions (B, A).
 
-    def command(self, joints: Tensor, action: Tensor, root: Tensor) -> Tensor:
+        Args:
+            joints: positions and velocities.
+            action: in [-1, 1].
+            hand: its pose (B, 4, 4).
+            floor: height of what the hand may run into below, metres.
+        """
+        return self.respond(joints, self.command(joints[:, 0], action, hand), hand, floor)
+
+    def command(self, joints: Tensor, action: Tensor, hand: Tensor) -> Tensor:
         """Way (B, J) from angles (B, J) to where the controller drives them: zero where it finds no solution.
 
         Where actions ask for a gradient, it is that of one more step of inverse kinematics at the solution.
         """
         with torch.no_grad():
-            solution, found = self._solution(self._target(root, action), joints)
+            solution, found = self._solution(self._target(hand, action), joints)
         if action.requires_grad:
-            further, _, _ = self.kinematics.approach(self._target(root, action), solution, 1)
+            further, _, _ = self.kinematics.approach(self._target(hand, action), solution, 1)
             solution = solution + further - further.detach()
         else:
             joints = joints.detach()
         return torch.where(found.unsqueeze(-1), solution - joints, 0.0)
 
-    def _target(self, root: Tensor, action: Tensor) -> Tensor:
-        move, turn = self._control.of_kind("translation")[0], self._control.of_kind("rotation")[0]
-        units = action[..., turn.slice]
-        angles = turn.unit * units / units.norm(dim=-1, keepdim=True).clamp_min(1.0)
-        return self.kinematics.target(root, move.unit * action[..., move.slice], angles)
+    def _target(self, hand: Tensor, action: Tensor) -> Tensor:
+        translation, angles = self._move.unit * action[..., self._move.slice], None
+        if self._turn is not None:
+            units = action[..., self._turn.slice]
+            angles = self._turn.unit * units / units.norm(dim=-1, keepdim=True).clamp_min(1.0)
+        return self.kinematics.target(hand, translation, angles)
 
     def _solution(self, goal: Tensor, joints: Tensor) -> tuple[Tensor, Tensor]:
-        """Angles (B, J) near ``joints`` at which the root link is at ``goal`` (B, 4, 4), and whether there are any."""
+        """Angles (B, J) near ``joints`` at which the hand is at ``goal`` (B, 4, 4), and whether there are any."""
         solution, before, last = self.kinematics.approach(goal, joints, _ITERATIONS)
         found = (before < _UNSOLVED) & (last < _SHORT)
         doubtful = (~found).nonzero().squeeze(1)
@@ -127,11 +144,11 @@ class ArmResponse(nn.Module):
             solution[hard], miss[hard] = self.kinematics.solve(goal[hard], close, _ITERATIONS)
         return solution, torch.isfinite(solution).all(-1) & (miss < _UNSOLVED)
 
-    def respond(self, joints: Tensor, command: Tensor, root: Tensor) -> ArmOutlook:
-        """The next step of joints (B, 2, J) under commands (B, J), with the root link at (B, 4, 4)."""
+    def respond(self, joints: Tensor, command: Tensor, hand: Tensor, floor: float) -> ArmForecast:
+        """As :meth:`forward`, under commands (B, J) of :meth:`command`."""
         moves = torch.cat([command, joints[:, 1]], 1)
         angles = joints[:, 0, 1:]  # the first joint turns the whole arm about the vertical, which changes nothing
-        height = root[:, 2, 3:] + root[:, 2, :3] @ self.kinematics.tool.unsqueeze(-1)  # of the tool
+        height = hand[:, 2, 3:] + hand[:, 2, :3] @ self.kinematics.tool.unsqueeze(-1) - floor  # of the tool
         parts = [
             angles,
             angles.sin(),
@@ -142,15 +159,15 @@ class ArmResponse(nn.Module):
             20.0 * joints[:, 1],
             torch.tanh(height / 0.02),
             torch.tanh(height / 0.1),
-            root[:, 2, :3],
+            hand[:, 2, :3],
         ]
         known = torch.cat(parts, 1)
         size = moves.square().sum(-1, keepdim=True).clamp_min(1e-12).sqrt()
-        stirred = torch.tanh(30.0 * (size - _QUIET).clamp_min(0.0))
-        step = moves @ self.weight + STEP * stirred * self.net(known)
-        return ArmOutlook(step.unflatten(1, (2, -1)), torch.cat([known, step / STEP], 1), stirred)
+        motion_gate = torch.tanh(30.0 * (size - _QUIET).clamp_min(0.0))
+        step = moves @ self.weight + STEP * motion_gate * self.net(known)
+        return ArmForecast(step.unflatten(1, (2, -1)), torch.cat([known, step / STEP], 1), motion_gate)
 
-    def fit(self, joints: Tensor, action: Tensor, following: Tensor, steps: int) -> None:
+    def fit(self, joints: Tensor, action: Tensor, following: Tensor, steps: int, floor: float) -> None:
         """Least squares, then gradient descent on the remainder.
 
         Args:
@@ -158,10 +175,10 @@ class ArmResponse(nn.Module):
             action: (B, A).
             following: the same after each.
             steps: optimiser steps.
+            floor: as of :meth:`forward`.
         """
-        joints, following = (x[..., : self.kinematics.arm.joints] for x in (joints, following))
-        root = self.kinematics(joints[:, 0])
-        command = self.command(joints[:, 0], action, root)
+        hand = self.kinematics(joints[:, 0])
+        command = self.command(joints[:, 0], action, hand)
         moved = torch.stack([following[:, 0] - joints[:, 0], following[:, 1]], 1)
         self.braking.copy_((moved[:, 0] * moved[:, 1]).sum() / moved[:, 0].square().sum())
         moves = torch.cat([command, joints[:, 1]], 1).double()
@@ -172,7 +189,7 @@ class ArmResponse(nn.Module):
         generator = torch.Generator().manual_seed(0)
         for _ in range(steps):
             index = torch.randint(len(moved), (_FIT_BATCH,), generator=generator)
-            error = self.respond(joints[index], command[index], root[index]).step - moved[index]
+            error = self.respond(joints[index], command[index], hand[index], floor).step - moved[index]
             loss = F.huber_loss(error / _FIT_SCALE, torch.zeros_like(error), delta=0.5)
             optimizer.zero_grad(set_to_none=True)
             loss.backward()

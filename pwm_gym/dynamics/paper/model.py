@@ -126,13 +126,11 @@ class PaperModel(PointwiseModel):
     order of the points. Points with equal features are one token.
     """
 
-    def __init__(
-        self, layout: Layout, action_size: int, control: Control | None = None, config: PaperConfig | None = None
-    ) -> None:
+    def __init__(self, layout: Layout, control: Control | None = None, config: PaperConfig | None = None) -> None:
         config = config or PaperConfig()
-        super().__init__(layout, action_size, control, config)
+        super().__init__(layout, control, config)
         self.backbone = PointTransformer(self.channels, config)
-        self.conditioning = _Conditioning(config.encoder_channels[-1], action_size, config)
+        self.conditioning = _Conditioning(config.encoder_channels[-1], self.action_size, config)
         self.head = velocity_head(config.decoder_channels[0], config.head_layers)
 
     def network(self, rows: Tensor, positions: Tensor, action: Tensor) -> Tensor:

@@ -1,0 +1,212 @@
+"""How the robot moves: arms by their joints' response and kinematics, fingers along their joints."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+from pwm_gym.dynamics.compact.arm import STEP, ArmForecast, ArmResponse
+from pwm_gym.dynamics.compact.movers import Scales
+from pwm_gym.dynamics.response import LinearResponse, twist, twists
+from pwm_gym.errors import SceneError
+from pwm_gym.robots import Control
+from pwm_gym.scene import Layout
+from pwm_gym.scene.se3 import inverse, make_pose, rotation_from_vector
+
+__all__ = ["RobotForecast", "RobotMotion"]
+
+_SLIDE = 0.005  # metres (radians: ten times as many) of a learned joint step that count as 1
+_TURN = 0.05
+
+
+@dataclass(frozen=True)
+class RobotForecast:
+    """What is known of the robot's next step before the tokens are decoded."""
+
+    positions: Tensor
+    """Positions (B, 3, S) of the driven joints at t, t-1, t-2."""
+    joint_step: Tensor
+    """Their linear response (B, S)."""
+    hands: Tensor
+    """The hands' next poses (B, H, 4, 4) by their fitted response."""
+    twists: Tensor
+    """Their ways there (B, H, 6), world frame."""
+    links: Tensor
+    """All links' next poses (B, L, 4, 4)."""
+    arms: tuple[ArmForecast | None, ...]
+    """Of each hand's arm, where its chain is known."""
+
+
+class RobotMotion(nn.Module):
+    """The links' next poses.
+
+    Args:
+        links: the robot's entities.
+        control: what actions mean.
+        width: channels of a token.
+        arm_width: channels of the networks of the arms' response.
+        kinematic: whether known chains are used.
+    """
+
+    def __init__(self, links: Layout, control: Control, width: int, arm_width: int, kinematic: bool) -> None:
+        super().__init__()
+        self.response = LinearResponse(links, control.size)
+        self.hands, self.count = list(links.hands), len(links)
+        arms = {arm.hand: arm for arm in control.arms if kinematic and arm.chain is not None}
+        names = [links.names[k] for k in self.hands]
+        for arm in control.arms:
+            if arm.hand not in names:
+                raise SceneError(
+                    f"arm {arm.name!r} has hand {arm.hand!r}; the robot's are {', '.join(names) or 'none'}"
+                )
+        self.arms = nn.ModuleList(
+            ArmResponse(arms[n], control, arm_width) if n in arms else nn.Identity() for n in names
+        )
+        self.known = [n in arms for n in names]
+        sizes = [arms[n].chain.joints if n in arms else 0 for n in names]  # type: ignore[union-attr]
+        self.slices = [slice(sum(sizes[:k]), sum(sizes[: k + 1])) for k in range(len(names))]
+        self.robot_slices = [arms[n].joints for n in names if n in arms]
+        self.joints = sum(sizes)
+        self.arm_tokens = nn.ModuleList(
+            nn.Linear(a.features, width) if isinstance(a, ArmResponse) else nn.Identity() for a in self.arms
+        )
+        self.heads = nn.ModuleList(nn.Linear(width, 2 * n if n else 6) for n in sizes)
+        self.slide = nn.Linear(width, 1)
+        for head in (*self.heads, self.slide):
+            nn.init.zeros_(head.weight)  # type: ignore[arg-type]
+            nn.init.zeros_(head.bias)  # type: ignore[arg-type]
+        fixed = [i for i, e in enumerate(links) if e.joint.kind == "fixed" and e.joint.parent is not None]
+        self._fixed = [(i, links.index(str(links.entities[i].joint.parent))) for i in fixed]
+        commands = [c.slice for c in control.of_kind("translation", "rotation")]
+        self._commands = [k for part in commands for k in range(part.start, part.stop)]
+        self._moving = [e.joint.kind for e in links if e.joint.moves]
+        self._scales = Scales()
+
+    def observe(self, links: Tensor, joints: Tensor | None) -> Tensor | None:
+        """Joint positions and velocities (..., 2, J) of all known arms, given or solved for.
+
+        Args:
+            links: poses (..., 3, L, 4, 4).
+            joints: the robot's (..., 2, J'), or the arms' alone; None where they are not known.
+        """
+        if not self.joints:
+            return None
+        if joints is not None and joints.shape[-1] == self.joints:
+            return joints
+        found = []
+        known = iter(self.robot_slices)
+        for hand, arm in zip(self.hands, self.arms, strict=True):
+            if isinstance(arm, ArmResponse):
+                place = next(known)
+                found.append(arm.observe(links[..., hand, :, :], None if joints is None else joints[..., place]))
+        return torch.cat(found, -1)
+
+    def forecast(self, links: Tensor, joints: Tensor | None, action: Tensor, floor: float) -> RobotForecast:
+        """What is known of the step under actions (B, A), for links at poses (B, 3, L, 4, 4)."""
+        tree, now = self.response.tree, links[:, 0, self.hands]
+        arms: list[ArmForecast | None] = []
+        moved = self.response.hand_twists(links, action) if not all(self.known) else now.new_zeros(*now.shape[:2], 6)
+        hands = list(_moved(now, moved).unbind(1))
+        for k, arm in enumerate(self.arms):
+            arms.append(None)
+            if isinstance(arm, ArmResponse):
+                assert joints is not None, "prepare() the state first"
+                own = joints[..., self.slices[k]]
+                arms[k] = forecast = arm(own, action, now[:, k], floor)
+                hands[k] = arm.kinematics(own[:, 0] + forecast.step[:, 0])
+        after = torch.stack(hands, 1) if hands else now
+        positions = tree.positions(links)
+        step = self.response.joint_step(positions, action)
+        placed = self._placed(links[:, 0], after, tree.limit(positions[:, 0] + step))
+        return RobotForecast(positions, step, after, twist(now, after), placed, tuple(arms))
+
+    def _placed(self, links: Tensor, hands: Tensor, positions: Tensor) -> Tensor:
+        """Links' poses (B, L, 4, 4) with hands at (B, H, 4, 4) and driven joints at (B, S)."""
+        moved = list(links.unbind(1))
+        for place, pose in zip(self.hands, hands.unbind(1), strict=True):
+            moved[place] = pose
+        placed = self.response.tree.place(torch.stack(moved, 1), positions)
+        if not self._fixed:
+            return placed
+        moved = list(placed.unbind(1))
+        for place, parent in self._fixed:
+            moved[place] = moved[parent] @ inverse(links[:, parent]) @ links[:, place]
+        return torch.stack(moved, 1)
+
+    def tokens(self, forecast: RobotForecast, tokens: Tensor) -> Tensor:
+        """Link tokens (B, L, C) with what is known of each arm added to its hand's."""
+        rows = list(tokens.unbind(1))
+        for hand, arm, layer in zip(self.hands, forecast.arms, self.arm_tokens, strict=True):
+            if arm is not None:
+                rows[hand] = rows[hand] + layer(arm.features)
+        return torch.stack(rows, 1)
+
+    def move(
+        self,
+        links: Tensor,
+        joints: Tensor | None,
+        action: Tensor,
+        forecast: RobotForecast,
+        tokens: Tensor,
+        frame: Tensor,
+    ) -> tuple[Tensor, Tensor | None]:
+        """Next poses (B, L, 4, 4) and arms' joints (B, 2, J).
+
+        Args:
+            links: poses (B, 3, L, 4, 4).
+            joints: of the arms (B, 2, J).
+            action: (B, A).
+            forecast: of the step.
+            tokens: the links' (B, L, C).
+            frame: rotation (B, 3, 3) of the frame of reference.
+        """
+        hands, found = [], []
+        for k, (hand, arm) in enumerate(zip(self.hands, self.arms, strict=True)):
+            learned, known = self.heads[k](tokens[:, hand]), forecast.arms[k]
+            if isinstance(arm, ArmResponse) and known is not None:
+                assert joints is not None
+                correction = STEP * known.motion_gate.unsqueeze(1) * learned.unflatten(1, (2, -1))
+                step, velocity = (known.step + correction).unbind(1)
+                angles = arm.kinematics.limit(joints[:, 0, self.slices[k]] + step)
+                found.append(torch.stack([angles, velocity], 1))
+                hands.append(arm.kinematics(angles))
+            else:
+                hands.append(self._free_hand(k, links[:, :, hand], action, forecast.twists[:, k], learned, frame))
+        units = [_SLIDE if kind == "prismatic" else _TURN for kind in self._moving]
+        tree, positions = self.response.tree, forecast.positions[:, 0] + forecast.joint_step
+        if len(tree):
+            positions = positions + self.slide(tokens[:, tree.moving]).squeeze(-1) * tokens.new_tensor(units)
+        placed = self._placed(links[:, 0], torch.stack(hands, 1) if hands else forecast.hands, tree.limit(positions))
+        return placed, torch.cat(found, -1) if found else None
+
+    def _free_hand(
+        self, k: int, frames: Tensor, action: Tensor, moved: Tensor, learned: Tensor, frame: Tensor
+    ) -> Tensor:
+        """Next pose (B, 4, 4) of a hand whose arm is not known, from its poses (B, 3, 4, 4)."""
+        turned = frame.transpose(1, 2)
+        way = (learned[:, None, :3] @ turned).squeeze(1) * self._scales.translation
+        turn = (learned[:, None, 3:] @ turned).squeeze(1) * self._scales.rotation
+        gate = _motion_gate(twists(frames), action[:, self._commands or slice(None)])
+        pose = _moved(frames[:, 0], moved + gate * torch.cat([way, turn], 1))
+        position = self.response.confine(pose[:, None, :3, 3].expand(-1, len(self.hands), -1))[:, k]
+        return make_pose(pose[:, :3, :3], position)
+
+
+def _moved(pose: Tensor, move: Tensor) -> Tensor:
+    """Poses (..., 4, 4) after twists (..., 6)."""
+    return make_pose(rotation_from_vector(move[..., 3:]) @ pose[..., :3, :3], pose[..., :3, 3] + move[..., :3])
+
+
+def _motion_gate(motion: Tensor, command: Tensor) -> Tensor:
+    """0 where a hand rests without a command, near 1 elsewhere; (B, 1).
+
+    Args:
+        motion: two last twists (B, 2, 6).
+        command: components of the action that move hands (B, K).
+    """
+    scales = Scales()
+    unit = motion.new_tensor([scales.translation] * 3 + [scales.rotation] * 3)
+    size = (motion / unit).square().sum((-1, -2)) + command.square().sum(-1)
+    return torch.tanh(10.0 * ((size + 1e-12).sqrt() - 1e-6)).unsqueeze(-1)  # a finite slope at rest, and zero there
