@@ -92,6 +92,7 @@ PANDA = Robot(
     joints=_FINGERS,
     cloud=robot_cloud,
     tool=tool_pose,
+    opening=opening,
     action=delta_pose_action,
     action_names=_ACTION_NAMES,
 )

@@ -31,6 +31,8 @@ class Robot:
     """Makes the links' clouds from joint angles, in the order of the simulator's joints; perception needs it."""
     tool: Callable[[np.ndarray], np.ndarray] | None = None
     """Poses (E, 7) of a scene -> tool centre pose (7,); scripted behaviours need it."""
+    opening: Callable[[np.ndarray], float] | None = None
+    """Poses (E, 7) of a scene -> distance in metres between the gripper's pads; scripted grasps need it."""
     action: Callable[[np.ndarray, np.ndarray, float], np.ndarray] | None = None
     """Translation (3,) in metres, rotation vector (3,) in radians, gripper in [-1, 1] -> action (A,)."""
     action_names: tuple[str, ...] = ()

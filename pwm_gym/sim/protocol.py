@@ -13,7 +13,7 @@ from pwm_gym.scene import Scene
 if TYPE_CHECKING:
     import trimesh
 
-__all__ = ["SimOutcome", "Simulator"]
+__all__ = ["PlacesBodies", "SimOutcome", "Simulator"]
 
 
 @dataclass(frozen=True)
@@ -66,3 +66,11 @@ class Simulator(Protocol):
 
     def close(self) -> None:
         """Free the simulator; calling it twice is harmless."""
+
+
+@runtime_checkable
+class PlacesBodies(Protocol):
+    """A simulator that can put free bodies anywhere: what scenes that no episode starts from are made with."""
+
+    def place(self, name: str, pose: np.ndarray) -> None:
+        """Put the free body ``name`` at rest at a pose (7,) in the base's frame."""

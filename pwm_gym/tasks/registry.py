@@ -50,6 +50,8 @@ class Task:
     """Registered grasp rule."""
     goal_size: int = 0
     """G; 0 where the task has no goal beside its objects."""
+    expert_steps: int = 66
+    """Mean length of the expert's episodes."""
     cloud_seed: int = 0
     max_episode_steps: int = 100
 

@@ -10,7 +10,7 @@ from pwm_gym.robots.panda import tool_pose
 from pwm_gym.scene import Scene
 from pwm_gym.scene.se3 import matrix_from_pose7
 from pwm_gym.sim import SimOutcome, Simulator
-from pwm_gym.sim.headless import allow_headless
+from pwm_gym.sim.maniskill.headless import allow_headless
 from pwm_gym.tasks import get_task
 
 TASK = get_task("PickCube")
