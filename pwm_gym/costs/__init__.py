@@ -1,6 +1,6 @@
 """Point-cloud costs, success rules and grasp rules, by name."""
 
-from pwm_gym.costs import terms
+from pwm_gym.costs import contacts, motion, terms
 from pwm_gym.costs.registry import (
     COSTS,
     GRASPS,
@@ -23,10 +23,12 @@ __all__ = [
     "SUCCESSES",
     "Cost",
     "Points",
+    "contacts",
     "cost_info",
     "get_cost",
     "get_grasp",
     "get_success",
+    "motion",
     "register_cost",
     "register_grasp",
     "register_success",

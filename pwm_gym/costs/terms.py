@@ -1,145 +1,369 @@
-"""Reusable terms on the clouds of a parallel gripper. Lengths in metres, in the robot base's frame."""
+"""Shared terms of costs: each function here makes a term, ``(points, info) -> (B,)``, for the entities it names.
+
+The first ones are a simulator's shaped rewards; they lie in [0, 1], and a task gives them negative weights. The others
+are what planners descend: a grasp from above that cannot be fooled in a model, a carry, a release.
+
+Example:
+    >>> from pwm_gym.costs import register_terms, terms
+    >>> cost = register_terms("tidy_doctest", {"approach": (1.5, terms.approach("mug"))})
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from functools import wraps
-from typing import Concatenate, ParamSpec
+from typing import Any
 
 import torch
 from torch import Tensor
 
+from pwm_gym.costs import contacts
+from pwm_gym.costs.contacts import Points
+from pwm_gym.costs.motion import angular_velocity, joint_speed, speed
+from pwm_gym.robots.speeds import JointSpeeds
+
 __all__ = [
-    "centre",
-    "finger_gaps",
+    "Place",
+    "Term",
+    "approach",
+    "at_rest",
+    "carry",
+    "carry_onto",
+    "disturbance",
+    "effort",
+    "finger_blocking",
+    "finished",
+    "goal_position",
+    "grasped",
+    "ground_contact",
+    "misalignment",
+    "near",
     "near_and_shut",
-    "pad_gaps",
-    "pinched",
-    "speed",
-    "spin",
-    "tool_centre",
-    "width_between",
+    "object_still",
+    "on_top",
+    "pinch",
+    "place",
+    "premature_close",
+    "reach",
+    "released",
+    "resting_on",
+    "retreat",
+    "settle",
+    "stages",
+    "still",
+    "success_bonus",
+    "ungrasp",
 ]
 
-Points = Mapping[str, Tensor]
-P = ParamSpec("P")
+Info = Mapping[str, Any]
+Term = Callable[[Points, Info], Tensor]
+"""(points, info) -> (B,)."""
+Place = Callable[[Points, Info], Tensor]
+"""(points, info) -> position (B, 3), metres."""
 
-_TOOL_RATIO = 0.355  # (tool - fingers) / (fingers - hand) along the Panda hand's axis, of its collision meshes
-_CLOSE = 0.025  # the paper's grasp distance
-# Metres. ManiSkill's pads sink 0.3 mm (half shut) to 2.8 mm into an object that they hold, and 8 mm into the width of a
-# corner; a model may see it 2 mm nearer to one pad.
-_DEEPEST, _LOOSEST, _PRESSED = -0.008, 0.001, -0.0005
-_PAD_HALF_WIDTH, _PAD_END = 0.014, 0.012  # of the fingers' pads: to either side of the tool centre, and beyond it
-_HELD = 0.036  # how far from an object's centre its corner can be held
-_HALF_SHUT = 0.2  # a gripper commanded below this shuts on an object of 4 cm
+_CLEAR = 0.05  # metres over an object's centre at which open fingers clear its top
+_FULL_OPENING = 0.08  # metres between the pads of an open Panda gripper
 
 
-def _once(term: Callable[Concatenate[Points, P], Tensor]) -> Callable[Concatenate[Points, P], Tensor]:
-    """Decorator: points that keep a memo (an environment's and a planner's do) form a quantity once.
+# Places, and rules about them -------------------------------------------------------------------------------------
 
-    All terms then share the tensor, which none may change in place.
+
+def goal_position(points: Points, info: Info) -> Tensor:
+    """The place (B, 3) that the goal names."""
+    return info["goal"]
+
+
+def on_top(name: str, height: float) -> Place:
+    """The place ``height`` metres over an object's centre."""
+
+    def place(points: Points, info: Info) -> Tensor:
+        centre = contacts.centre(points, name)
+        return torch.cat([centre[..., :2], centre[..., 2:] + height], -1)
+
+    return place
+
+
+def _distance(name: str, target: Place) -> Term:
+    """Distance (B,) from an object's centre to a place."""
+    return lambda points, info: (contacts.centre(points, name) - target(points, info)).norm(dim=-1)
+
+
+def near(name: str, target: Place, radius: float) -> Term:
+    """Bool (B,): the object's centre is within ``radius`` metres of a place."""
+    distance = _distance(name, target)
+    return lambda points, info: distance(points, info) <= radius
+
+
+def resting_on(name: str, target: Place, beside: float, height: float) -> Term:
+    """Bool (B,): the object's centre is at a place, within ``beside`` metres in the plane and ``height`` in height."""
+
+    def term(points: Points, info: Info) -> Tensor:
+        offset = contacts.centre(points, name) - target(points, info)
+        return (offset[..., :2].norm(dim=-1) <= beside) & (offset[..., 2].abs() <= height)
+
+    return term
+
+
+def at_rest(name: str, period: float, linear: float, angular: float) -> Term:
+    """Bool (B,): the object is slower than ``linear`` m/s and ``angular`` rad/s, with control steps of ``period`` s."""
+
+    def term(points: Points, info: Info) -> Tensor:
+        turn = angular_velocity(points, info["velocity"], name).norm(dim=-1)
+        return (speed(info["velocity"], name) <= linear * period) & (turn <= angular * period)
+
+    return term
+
+
+def pinch(name: str) -> Term:
+    """Bool (B,): the contact rule of a grasp, :func:`pwm_gym.costs.contacts.pinched`."""
+    return lambda points, info: contacts.pinched(points, info["action"], name)
+
+
+def near_and_shut(name: str) -> Term:
+    """Bool (B,): the paper's rule of a grasp, :func:`pwm_gym.costs.contacts.near_and_shut`."""
+    return lambda points, info: contacts.near_and_shut(points, info["action"], name)
+
+
+# A simulator's shaped rewards -------------------------------------------------------------------------------------
+
+
+def reach(name: str) -> Term:
+    """Nearness of the tool to the object."""
+    return lambda points, info: 1.0 - torch.tanh(5.0 * contacts.tool_distance(points, name))
+
+
+def grasped(name: str) -> Term:
+    """1 where the object is pinched."""
+    return lambda points, info: contacts.pinched(points, info["action"], name).float()
+
+
+def place(name: str, target: Place) -> Term:
+    """Nearness of the grasped object to a place."""
+    held, distance = grasped(name), _distance(name, target)
+    return lambda points, info: held(points, info) * (1.0 - torch.tanh(5.0 * distance(points, info)))
+
+
+def still(arm: JointSpeeds, reached: Term) -> Term:
+    """Slowness of the arm's joints where the rule ``reached`` holds."""
+
+    def term(points: Points, info: Info) -> Tensor:
+        rest = 1.0 - torch.tanh(5.0 * joint_speed(points, info, arm))
+        return rest * reached(points, info)
+
+    return term
+
+
+def ungrasp(name: str) -> Term:
+    """How far the fingers have opened around the object; 1 where they do not hold it."""
+
+    def term(points: Points, info: Info) -> Tensor:
+        held = contacts.pinched(points, info["action"], name)
+        return torch.where(held, contacts.opening(points) / _FULL_OPENING, 1.0)
+
+    return term
+
+
+def object_still(name: str, period: float) -> Term:
+    """Slowness of the object, with control steps of ``period`` seconds."""
+
+    def term(points: Points, info: Info) -> Tensor:
+        linear = speed(info["velocity"], name) / period
+        angular = angular_velocity(points, info["velocity"], name).norm(dim=-1) / period
+        return 1.0 - torch.tanh(10.0 * linear + angular)
+
+    return term
+
+
+def success_bonus(success: Term, whole: float, parts: list[Term]) -> Term:
+    """What success adds to the sum of ``parts``, so that it is ``whole`` there."""
+
+    def term(points: Points, info: Info) -> Tensor:
+        first, *others = (part(points, info) for part in parts)
+        total = sum(others, first)
+        return (whole - total) * success(points, info)
+
+    return term
+
+
+def stages(parts: Mapping[str, tuple[Term | None, Term]]) -> dict[str, tuple[float, Term]]:
+    """Weighted terms of a reward whose stages replace each other: only the last stage whose rule holds counts.
+
+    Args:
+        parts: name -> rule (None: always) and term, the earliest stage first.
+    """
+    rules = [rule for rule, _ in parts.values()]
+
+    def only(term: Term, later: list[Term | None], rule: Term | None) -> Term:
+        def staged(points: Points, info: Info) -> Tensor:
+            value = term(points, info)
+            if rule is not None:
+                value = torch.where(rule(points, info), value, 0.0)
+            for other in later:
+                assert other is not None
+                value = torch.where(other(points, info), 0.0, value)
+            return value
+
+        return staged
+
+    return {name: (1.0, only(term, rules[i + 1 :], rule)) for i, (name, (rule, term)) in enumerate(parts.items())}
+
+
+# The planners' cost: a grasp that cannot be fooled ----------------------------------------------------------------
+
+
+def approach(name: str, finished: Term | None = None) -> Term:
+    """Distance from tool to object, sharper when near; none where the soft rule ``finished`` holds."""
+
+    def term(points: Points, info: Info) -> Tensor:
+        distance = contacts.tool_distance(points, name)
+        value = 5.0 * distance + torch.tanh(distance / 0.02)
+        return value if finished is None else value * (1 - finished(points, info))
+
+    return term
+
+
+def premature_close(name: str) -> Term:
+    """Shut before the object is between the fingers."""
+
+    def term(points: Points, info: Info) -> Tensor:
+        shut = ((0.100 - contacts.fingers_apart(points)) / 0.04).clamp(0, 1)
+        return shut * torch.maximum(contacts.outside_fingers(points, name), contacts.crushed(points, name))
+
+    return term
+
+
+def finger_blocking(name: str) -> Term:
+    """Fingers at the object's height that overlap it along their own axis: coming closer, they would push it."""
+
+    def term(points: Points, info: Info) -> Tensor:
+        height = contacts.tool_centre(points)[..., 2] - contacts.centre(points, name)[..., 2]
+        depth = ((_CLEAR - height) / _CLEAR).clamp(0, 1)
+        blocked = torch.sigmoid((0.002 - contacts.finger_gaps(points, name).amin(-1)) / 0.002)
+        return blocked * depth * contacts.outside_fingers(points, name)
+
+    return term
+
+
+def misalignment(name: str, width: float) -> Term:
+    """How much wider than ``width`` the object is along the fingers' axis: 0 aligned, 1 on the diagonal of a square."""
+
+    def term(points: Points, info: Info) -> Tensor:
+        between = contacts.width_between(points, name)
+        return ((between - width) / (0.414 * width)).clamp(0, 1)
+
+    return term
+
+
+def ground_contact(points: Points, info: Info) -> Tensor:
+    """Finger tips nearer than 5 mm to the ground, which would stop the arm; 1 where they touch it."""
+    lowest = torch.minimum(points["left_gripper"][..., 2].amin(-1), points["right_gripper"][..., 2].amin(-1))
+    return ((0.005 - lowest) / 0.005).clamp(0, 2)
+
+
+def effort(points: Points, info: Info) -> Tensor:
+    """Translations over half a unit: near the edge of the arm's reach the controller finds no pose, and stops."""
+    return 4.0 * (info["action"][..., :3].norm(dim=-1) - 0.5).clamp_min(0.0).square()
+
+
+def disturbance(name: str, held: bool = True) -> Term:
+    """Speed of an object in units of 5 mm a step: it is being pushed, or it falls.
+
+    Args:
+        name: the object.
+        held: whether it may move while it is firmly held.
     """
 
-    @wraps(term)
-    def formed(points: Points, *args: P.args, **kwargs: P.kwargs) -> Tensor:
-        memo = getattr(points, "memo", None)
-        if memo is None:
-            return term(points, *args, **kwargs)
-        key = (term, args, tuple(kwargs.items()))
-        if key not in memo:
-            memo[key] = term(points, *args, **kwargs)
-        return memo[key]
+    def term(points: Points, info: Info) -> Tensor:
+        pushed = (speed(info["velocity"], name) / 0.005).clamp_max(4.0)
+        return pushed * (1 - contacts.firmness(points, info["action"], name)) if held else pushed
 
-    return formed
+    return term
 
 
-@_once
-def centre(points: Points, name: str) -> Tensor:
-    """Mean (B, 3) of an entity's points."""
-    return points[name].mean(-2)
+def carry(name: str, target: Place) -> Term:
+    """Nearness of the object to a place, which counts once the grasp is firm: up to 4."""
+    distance = _distance(name, target)
+
+    def term(points: Points, info: Info) -> Tensor:
+        return contacts.firmness(points, info["action"], name) * _nearness(distance(points, info))
+
+    return term
 
 
-@_once
-def tool_centre(points: Points) -> Tensor:
-    """Point (B, 3) between the finger tips: on the line from the hand's centre through the fingers' centre."""
-    fingers = 0.5 * (centre(points, "left_gripper") + centre(points, "right_gripper"))
-    return fingers + _TOOL_RATIO * (fingers - centre(points, "hand"))
+def _nearness(distance: Tensor) -> Tensor:
+    """4 at no distance; it falls steeply within 3 cm, and by 8 a metre beyond."""
+    return 4.0 - 8.0 * distance.clamp_max(0.4) - torch.tanh(distance / 0.03)
 
 
-@_once
-def finger_gaps(points: Points, name: str) -> Tensor:
-    """Gaps (B, 2) between each finger's inner side and the object's, along the fingers' axis.
+def settle(name: str, target: Place, arm: JointSpeeds, limit: float) -> Term:
+    """Speed of the arm's joints, in units of ``limit`` rad/s, where the object is near its place."""
+    distance = _distance(name, target)
 
-    Zero: touching. Slightly negative: pressing. More: the finger is past that side, beside or above the object.
+    def term(points: Points, info: Info) -> Tensor:
+        close = torch.sigmoid((0.015 - distance(points, info)) / 0.003)
+        return close * (joint_speed(points, info, arm) / limit).clamp_max(3.0)
+
+    return term
+
+
+def carry_onto(name: str, target: Place, clearance: float = 0.02) -> Term:
+    """As :func:`carry`, by a way from above: lifted first, over the place, then lowered.
+
+    Args:
+        name: the object.
+        target: the place where it shall stand.
+        clearance: height over the place, metres, that it has to have 4.5 cm beside it; it falls to 0 above the place.
     """
-    axis = _fingers_axis(points)
-    along = _along(points[name], axis)
-    return _gaps(points, axis, along.amin(-1), along.amax(-1))
+
+    def term(points: Points, info: Info) -> Tensor:
+        offset = contacts.centre(points, name) - target(points, info)
+        beside = offset[..., :2].norm(dim=-1)
+        height = offset[..., 2] - clearance * ((beside - 0.005) / 0.04).clamp(0, 1)
+        way = beside + torch.where(height < 0, -1.5 * height, 0.8 * height)
+        return contacts.firmness(points, info["action"], name) * _nearness(way)
+
+    return term
 
 
-@_once
-def pad_gaps(points: Points, name: str) -> Tensor:
-    """Gaps (B, 2) as :func:`finger_gaps`, to that part of the object which is between the fingers' pads.
+def _set_down(name: str, target: Place) -> Term:
+    """Soft bool (B,): the object stands at its place, and hardly moves."""
 
-    Huge where no part is.
+    def term(points: Points, info: Info) -> Tensor:
+        offset = contacts.centre(points, name) - target(points, info)
+        there = torch.sigmoid((0.014 - offset[..., :2].norm(dim=-1)) / 0.002)
+        down = torch.sigmoid((0.0035 - offset[..., 2].abs()) / 0.0005)
+        slow = torch.sigmoid((0.002 - speed(info["velocity"], name)) / 0.0005)
+        return there * down * slow
+
+    return term
+
+
+def released(name: str, target: Place) -> Term:
+    """An object set down at its place with no command to hold it: up to 6, from 4.5 while the fingers still touch it.
+
+    Always more than :func:`carry` gives for holding it there, so that opening the fingers pays at once.
     """
-    axis = _fingers_axis(points)
-    tool, object_points = tool_centre(points), points[name]
-    forward = tool - centre(points, "hand")
-    forward = (forward / forward.norm(dim=-1, keepdim=True).clamp_min(1e-6)).unsqueeze(-1)
-    sideways = torch.cross(axis, forward, dim=-2)
-    offset = object_points - tool.unsqueeze(-2)
-    between = (_along(offset, sideways).abs() <= _PAD_HALF_WIDTH) & (_along(offset, forward) <= _PAD_END)
-    along = _along(object_points, axis)
-    return _gaps(points, axis, along.where(between, 1e3).amin(-1), along.where(between, -1e3).amax(-1))
+    set_down = _set_down(name, target)
+
+    def term(points: Points, info: Info) -> Tensor:
+        opened = (contacts.finger_gaps(points, name).amin(-1) / 0.01).clamp(0, 1)
+        free = info["action"][..., -1] >= 0
+        return set_down(points, info) * free * (4.5 + 1.5 * opened)
+
+    return term
 
 
-def _gaps(points: Points, axis: Tensor, lowest: Tensor, highest: Tensor) -> Tensor:
-    """Gaps (B, 2) of both fingers to what reaches from ``lowest`` to ``highest`` (B,) along their axis (B, 3, 1)."""
-    left, right = (_along(points[finger], axis) for finger in ("left_gripper", "right_gripper"))
-    return torch.stack([left.amin(-1) - highest, lowest - right.amax(-1)], -1)
+def finished(name: str, target: Place) -> Term:
+    """Soft bool (B,): the object stands at its place and the gripper is commanded open."""
+    set_down = _set_down(name, target)
+    return lambda points, info: set_down(points, info) * (info["action"][..., -1] >= 0)
 
 
-def width_between(points: Points, name: str) -> Tensor:
-    """Extent (B,) of an object along the fingers' axis: what the fingers have to span."""
-    along = _along(points[name], _fingers_axis(points))
-    return along.amax(-1) - along.amin(-1)
+def retreat(name: str, target: Place, height: float = 0.06) -> Term:
+    """How much the tool lacks to ``height`` metres over an object that stands released at its place, in [0, 1]."""
+    rule = finished(name, target)
 
+    def term(points: Points, info: Info) -> Tensor:
+        above = contacts.tool_centre(points)[..., 2] - contacts.centre(points, name)[..., 2]
+        return rule(points, info) * ((height - above) / height).clamp(0, 1)
 
-@_once
-def _fingers_axis(points: Points) -> Tensor:
-    """Unit vector (B, 3, 1) from the right finger's centre to the left one's."""
-    axis = centre(points, "left_gripper") - centre(points, "right_gripper")
-    return (axis / axis.norm(dim=-1, keepdim=True).clamp_min(1e-6)).unsqueeze(-1)
-
-
-def _along(points: Tensor, axis: Tensor) -> Tensor:
-    """Coordinates (B, n) of points (B, n, 3) along an axis (B, 3, 1)."""
-    return (axis.transpose(-1, -2) @ points.transpose(-1, -2)).squeeze(-2)
-
-
-def near_and_shut(points: Points, action: Tensor, name: str) -> Tensor:
-    """Bool (B,): tool centre within 2.5 cm of the object's, gripper commanded shut (paper, appendix "Cost")."""
-    near = (tool_centre(points) - centre(points, name)).norm(dim=-1) <= _CLOSE
-    return near & (action[..., -1] < 0)
-
-
-def pinched(points: Points, action: Tensor, name: str) -> Tensor:
-    """Bool (B,): a shutting gripper, its fingers stopped by that part of the object which is between them."""
-    gaps = pad_gaps(points, name)
-    touching = ((gaps >= _DEEPEST) & (gaps <= _LOOSEST)).all(-1) & (gaps.sum(-1) <= _PRESSED)
-    near = (tool_centre(points) - centre(points, name)).norm(dim=-1) <= _HELD
-    return touching & near & (action[..., -1] < _HALF_SHUT)
-
-
-def speed(velocity: Points, name: str) -> Tensor:
-    """Speed (B,) of an entity's centre, metres a step."""
-    return velocity[name].mean(-2).norm(dim=-1)
-
-
-def spin(points: Points, velocity: Points, name: str) -> Tensor:
-    """Turn (B,) of an entity about the vertical axis, radians a step: least squares over its points."""
-    offset = (points[name] - points[name].mean(-2, keepdim=True))[..., :2]
-    moved = (velocity[name] - velocity[name].mean(-2, keepdim=True))[..., :2]
-    torque = (offset[..., 0] * moved[..., 1] - offset[..., 1] * moved[..., 0]).sum(-1)
-    return torque / offset.square().sum((-1, -2)).clamp_min(1e-9)
+    return term

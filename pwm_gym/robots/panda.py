@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pwm_gym.robots.cloud import RobotCloud
 from pwm_gym.robots.control import Arm, Channel, Control, SerialArm
 from pwm_gym.robots.robot import Robot
+from pwm_gym.robots.speeds import JointSpeeds
+from pwm_gym.scene import Layout, Support
 from pwm_gym.scene.joint import Joint, Pose7
 
-__all__ = ["PANDA", "delta_pose_action", "opening", "robot_cloud", "tool_pose"]
+__all__ = ["JOINT_SPEEDS", "PANDA", "delta_pose_action", "layout", "opening", "robot_cloud", "tool_pose"]
 
 _LINKS = {"hand": "panda_hand", "left_gripper": "panda_leftfinger", "right_gripper": "panda_rightfinger"}
 _FINGER_ORIGIN: Pose7 = (0.0, 0.0, 0.0584, 1.0, 0.0, 0.0, 0.0)  # the URDF's panda_finger_joint1 and 2
@@ -51,6 +55,13 @@ _CONTROL = Control(
     period=0.05,
 )
 """ManiSkill's ``pd_ee_delta_pose`` at 20 Hz."""
+JOINT_SPEEDS = JointSpeeds(
+    joints=7,
+    period=_CONTROL.period,
+    bending=((2.05, -1.57), (3.38, 0.585), (-0.444, -2.16)),
+    averaged=0.87,
+)
+"""Of the second, fourth and sixth joint, over a table-top: least squares on recorded PickCube demonstrations."""
 
 
 def robot_cloud() -> RobotCloud:
@@ -96,3 +107,13 @@ PANDA = Robot(
     action=delta_pose_action,
     action_names=_ACTION_NAMES,
 )
+
+
+def layout(objects: Mapping[str, int], points: int = 300) -> Layout:
+    """The Panda's links with ``points`` points each, and loose objects (name -> points) on the ground."""
+    return Layout.build(
+        [*((link, points) for link in _LINKS), *objects.items()],
+        driven=PANDA.driven,
+        joints=PANDA.joints,
+        supports=[Support.ground()],
+    )

@@ -61,10 +61,10 @@ def test_an_action_moves_the_tool_along_its_axis_of_the_bases_frame(simulator, p
     simulator.reset(0)
     translation, rotation = np.zeros(3), np.zeros(3)
     (translation if part == "translation" else rotation)[axis] = 0.03
-    before = TASK.arm.tool(simulator.poses())
+    before = TASK.robot.tool(simulator.poses())
     for _ in range(4):
-        simulator.step(TASK.arm.action(translation, rotation, 1.0))
-    after = TASK.arm.tool(simulator.poses())
+        simulator.step(TASK.robot.action(translation, rotation, 1.0))
+    after = TASK.robot.tool(simulator.poses())
     turn = Rotation.from_quat(after[3:], scalar_first=True) * Rotation.from_quat(before[3:], scalar_first=True).inv()
     moved = after[:3] - before[:3] if part == "translation" else turn.as_rotvec()
     assert moved[axis] > 0.02
@@ -75,10 +75,10 @@ def test_the_gripper_opens_at_1_and_shuts_at_minus_1(simulator):
     simulator.reset(0)
     for command, opening in ((-1.0, 0.0), (1.0, 0.08)):
         for _ in range(12):
-            simulator.step(TASK.arm.action(np.zeros(3), np.zeros(3), command))
+            simulator.step(TASK.robot.action(np.zeros(3), np.zeros(3), command))
         assert simulator.joints()[0, 7:].sum() == pytest.approx(opening, abs=0.002)
 
 
 def test_actions_beyond_the_limits_are_clipped():
-    action = TASK.arm.action(np.array([1.0, -1.0, 0.05]), np.zeros(3), -3.0)
+    action = TASK.robot.action(np.array([1.0, -1.0, 0.05]), np.zeros(3), -3.0)
     np.testing.assert_allclose(action, [1, -1, 0.5, 0, 0, 0, -1])

@@ -1,0 +1,182 @@
+"""What the clouds of a parallel gripper and an object tell of their contact. Metres, in the robot base's frame."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import wraps
+from typing import Concatenate, ParamSpec
+
+import torch
+from torch import Tensor
+
+__all__ = [
+    "centre",
+    "crushed",
+    "finger_gaps",
+    "fingers_apart",
+    "firmness",
+    "near_and_shut",
+    "once",
+    "opening",
+    "outside_fingers",
+    "pad_gaps",
+    "pinched",
+    "tool_centre",
+    "tool_distance",
+    "width_between",
+]
+
+Points = Mapping[str, Tensor]
+P = ParamSpec("P")
+
+_TOOL_RATIO = 0.355  # (tool - fingers) / (fingers - hand) along the Panda hand's axis, of its collision meshes
+_CLOSE = 0.025  # the paper's grasp distance
+# Metres. ManiSkill's pads sink 0.3 mm (half shut) to 2.8 mm into an object that they hold, and 8 mm into the width of a
+# corner; a model may see it 2 mm nearer to one pad.
+_DEEPEST, _LOOSEST, _PRESSED = -0.008, 0.001, -0.0005
+_PAD_HALF_WIDTH, _PAD_END = 0.014, 0.012  # of the fingers' pads: to either side of the tool centre, and beyond it
+_HELD = 0.036  # how far from an object's centre its corner can be held
+_HALF_SHUT = 0.2  # a gripper commanded below this shuts on an object of 4 cm
+_SUNK = 0.010  # metres by which a pad may overlap the object's extent and still count as pressing on it
+_BETWEEN = 0.013  # metres from tool to centre within which the object is between the finger tips
+_TIPS_APART = 0.027  # metres between the centres of the fingers' clouds where they are shut
+
+
+def once(term: Callable[Concatenate[Points, P], Tensor]) -> Callable[Concatenate[Points, P], Tensor]:
+    """Decorator: points that keep a memo (an environment's and a planner's do) form a quantity once.
+
+    All terms then share the tensor, which none may change in place.
+    """
+
+    @wraps(term)
+    def formed(points: Points, *args: P.args, **kwargs: P.kwargs) -> Tensor:
+        memo = getattr(points, "memo", None)
+        if memo is None:
+            return term(points, *args, **kwargs)
+        key = (term, args, tuple(kwargs.items()))
+        if key not in memo:
+            memo[key] = term(points, *args, **kwargs)
+        return memo[key]
+
+    return formed
+
+
+@once
+def centre(points: Points, name: str) -> Tensor:
+    """Mean (B, 3) of an entity's points."""
+    return points[name].mean(-2)
+
+
+@once
+def tool_centre(points: Points) -> Tensor:
+    """Point (B, 3) between the finger tips: on the line from the hand's centre through the fingers' centre."""
+    fingers = 0.5 * (centre(points, "left_gripper") + centre(points, "right_gripper"))
+    return fingers + _TOOL_RATIO * (fingers - centre(points, "hand"))
+
+
+@once
+def finger_gaps(points: Points, name: str) -> Tensor:
+    """Gaps (B, 2) between each finger's inner side and the object's, along the fingers' axis.
+
+    Zero: touching. Slightly negative: pressing. More: the finger is past that side, beside or above the object.
+    """
+    axis = _fingers_axis(points)
+    along = _along(points[name], axis)
+    return _gaps(points, axis, along.amin(-1), along.amax(-1))
+
+
+@once
+def pad_gaps(points: Points, name: str) -> Tensor:
+    """Gaps (B, 2) as :func:`finger_gaps`, to that part of the object which is between the fingers' pads.
+
+    Huge where no part is.
+    """
+    axis = _fingers_axis(points)
+    tool, object_points = tool_centre(points), points[name]
+    forward = tool - centre(points, "hand")
+    forward = (forward / forward.norm(dim=-1, keepdim=True).clamp_min(1e-6)).unsqueeze(-1)
+    sideways = torch.cross(axis, forward, dim=-2)
+    offset = object_points - tool.unsqueeze(-2)
+    between = (_along(offset, sideways).abs() <= _PAD_HALF_WIDTH) & (_along(offset, forward) <= _PAD_END)
+    along = _along(object_points, axis)
+    return _gaps(points, axis, along.where(between, 1e3).amin(-1), along.where(between, -1e3).amax(-1))
+
+
+def _gaps(points: Points, axis: Tensor, lowest: Tensor, highest: Tensor) -> Tensor:
+    """Gaps (B, 2) of both fingers to what reaches from ``lowest`` to ``highest`` (B,) along their axis (B, 3, 1)."""
+    left, right = (_along(points[finger], axis) for finger in ("left_gripper", "right_gripper"))
+    return torch.stack([left.amin(-1) - highest, lowest - right.amax(-1)], -1)
+
+
+def width_between(points: Points, name: str) -> Tensor:
+    """Extent (B,) of an object along the fingers' axis: what the fingers have to span."""
+    along = _along(points[name], _fingers_axis(points))
+    return along.amax(-1) - along.amin(-1)
+
+
+@once
+def _fingers_axis(points: Points) -> Tensor:
+    """Unit vector (B, 3, 1) from the right finger's centre to the left one's."""
+    axis = centre(points, "left_gripper") - centre(points, "right_gripper")
+    return (axis / axis.norm(dim=-1, keepdim=True).clamp_min(1e-6)).unsqueeze(-1)
+
+
+def _along(points: Tensor, axis: Tensor) -> Tensor:
+    """Coordinates (B, n) of points (B, n, 3) along an axis (B, 3, 1)."""
+    return (axis.transpose(-1, -2) @ points.transpose(-1, -2)).squeeze(-2)
+
+
+def near_and_shut(points: Points, action: Tensor, name: str) -> Tensor:
+    """Bool (B,): tool centre within 2.5 cm of the object's, gripper commanded shut (paper, appendix "Cost")."""
+    near = (tool_centre(points) - centre(points, name)).norm(dim=-1) <= _CLOSE
+    return near & (action[..., -1] < 0)
+
+
+def pinched(points: Points, action: Tensor, name: str) -> Tensor:
+    """Bool (B,): a shutting gripper, its fingers stopped by that part of the object which is between them."""
+    gaps = pad_gaps(points, name)
+    touching = ((gaps >= _DEEPEST) & (gaps <= _LOOSEST)).all(-1) & (gaps.sum(-1) <= _PRESSED)
+    near = (tool_centre(points) - centre(points, name)).norm(dim=-1) <= _HELD
+    return touching & near & (action[..., -1] < _HALF_SHUT)
+
+
+@once
+def tool_distance(points: Points, name: str) -> Tensor:
+    """Distance (B,) from the tool centre to an object's centre."""
+    return (centre(points, name) - tool_centre(points)).norm(dim=-1)
+
+
+@once
+def fingers_apart(points: Points) -> Tensor:
+    """Distance (B,) between the centres of the fingers' clouds: 10.7 cm apart when open, 2.7 cm shut."""
+    return (centre(points, "left_gripper") - centre(points, "right_gripper")).norm(dim=-1)
+
+
+def opening(points: Points) -> Tensor:
+    """Distance (B,) between the pads, as the fingers' centres tell it."""
+    return (fingers_apart(points) - _TIPS_APART).clamp_min(0.0)
+
+
+@once
+def outside_fingers(points: Points, name: str) -> Tensor:
+    """Soft bool (B,): the object is not between the finger tips."""
+    return torch.sigmoid((tool_distance(points, name) - _BETWEEN) / 0.002)
+
+
+@once
+def crushed(points: Points, name: str) -> Tensor:
+    """Soft bool (B,): a pad is deeper in the object than one that holds it."""
+    return torch.sigmoid(-(finger_gaps(points, name).amin(-1) + _SUNK) / 0.002)
+
+
+def firmness(points: Points, action: Tensor, name: str) -> Tensor:
+    """Soft form (B,) of :func:`pinched`, in [0, 1]; a model lets the pads sink deeper."""
+    return _pressing(points, name) * (action[..., -1] < 0)
+
+
+@once
+def _pressing(points: Points, name: str) -> Tensor:
+    """Soft bool (B,): both pads touch the object, which is between them."""
+    gaps = finger_gaps(points, name)
+    pressing = torch.sigmoid((0.001 - gaps.amax(-1)) / 0.0007) * torch.sigmoid((gaps.amin(-1) + _SUNK) / 0.001)
+    return pressing * torch.sigmoid((0.020 - tool_distance(points, name)) / 0.002)
