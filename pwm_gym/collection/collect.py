@@ -192,6 +192,7 @@ def record_episode(simulator: Simulator, seed: int, make: Callable[[int], Behavi
     """One episode of at most ``limit`` steps from ``seed``; at least three, so that it has both velocities."""
     simulator.reset(seed)
     behaviour = make(seed)
+    behaviour.start(simulator)
     goal, assets = simulator.goal(), simulator.assets()  # a goal may move later
     poses, joints, actions, outcomes = [simulator.poses()], [simulator.joints()], [], []
     for step in range(limit):
