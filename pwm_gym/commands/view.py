@@ -58,18 +58,20 @@ def rolled_out(run: Run, agent: Agent) -> Run:
     """The same run, with what an agent's model predicts of all its actions from the first scene alone."""
     import torch
 
+    from pwm_gym.costs import get_cost
     from pwm_gym.dynamics import rollout
     from pwm_gym.scene import batch_state
     from pwm_gym.scene.se3 import pose7_from_matrix
 
     start = run.shown or run.start
+    cost = get_cost(run.settings.get("reward_cost", agent.task.cost))
     agent.look(start)
     with torch.no_grad():
         states = rollout(agent.model, batch_state([start]), torch.as_tensor(run.actions)[None])[0]
     return replace(
         run,
         predicted=pose7_from_matrix(states.poses().double()).numpy(),
-        predicted_rewards=agent.rewards(states, run.actions),
+        predicted_rewards=agent.rewards(states, run.actions, cost),
         terms={},
         predicted_terms={},  # the run's planner may have had other terms than the task's cost
     )
