@@ -144,6 +144,7 @@ class Run:
         values, names = found["terms"], header.terms
         if names and values.shape[:1] != (2 * len(names),):
             raise PwmGymError(f"{path} has terms of shape {values.shape}; expected {2 * len(names)} rows")
+        arrays: dict[str, Any] = {name: found[name] for name in _ARRAYS}
         shown = None if header.shown_layout is None else _scene(header, header.shown_layout, found, _SHOWN)
         return cls(
             start=_scene(header, header.layout, found, _START),
@@ -152,7 +153,7 @@ class Run:
             terms=dict(zip(names, values, strict=False)),
             predicted_terms=dict(zip(names, values[len(names) :], strict=False)),
             **{name: getattr(header, name) for name in _FACTS},
-            **{name: found[name] for name in _ARRAYS},
+            **arrays,
         )
 
 

@@ -119,6 +119,10 @@ class ManiSkillSimulator:
         action = torch.zeros((1, self.action_size))
         return _outcome(self._base.compute_normalized_dense_reward(obs=None, action=action, info=info), info)
 
+    def assets(self) -> tuple[str, ...]:
+        """The entities' own names: they are always the same."""
+        return tuple(self._bodies)
+
     def poses(self) -> np.ndarray:
         """Entity poses (E, 7) in the base's frame."""
         world = np.stack([_pose7(entity.pose) for entity in self._entities.values()])

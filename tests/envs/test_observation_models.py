@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 from pwm_gym.completion import HullCompleter
-from pwm_gym.envs import Sensing
+from pwm_gym.envs import CameraConfig
 from pwm_gym.errors import UnknownNameError
 from pwm_gym.evaluation import chamfer
 from pwm_gym.planning import Agent, MPPIConfig, Run, execute
@@ -14,7 +14,7 @@ SIM = "pwm/PickCubeSim-v0"
 
 @pytest.fixture(scope="module")
 def completed():
-    env = gym.make(SIM, observation="completed", sensing=Sensing(completer="hull", sensor="d455"))
+    env = gym.make(SIM, observation="completed", camera=CameraConfig(completer="hull", sensor="d455"))
     yield env
     env.close()
 
@@ -78,7 +78,7 @@ def test_an_agent_plans_from_what_is_shown_and_the_record_holds_the_truth(comple
 
 def test_an_unknown_checkpoint_of_completion_is_named():
     with pytest.raises(UnknownNameError, match="unknown checkpoint of completion 'nothing'"):
-        gym.make(SIM, observation="completed", sensing=Sensing(completer="nothing"))
+        gym.make(SIM, observation="completed", camera=CameraConfig(completer="nothing"))
 
 
 def test_a_completer_of_ones_own():
@@ -89,7 +89,7 @@ def test_a_completer_of_ones_own():
             calls.append(points)
             return super().__call__(partial, eye, points)
 
-    env = gym.make(SIM, observation="completed", points=400, sensing=Sensing(completer=Mine()))
+    env = gym.make(SIM, observation="completed", points=400, camera=CameraConfig(completer=Mine()))
     env.reset(seed=300_000)
     env.step(np.zeros(7, np.float32))
     env.close()
