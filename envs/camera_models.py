@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -122,9 +123,9 @@ class CompletedObservation:
         """The estimated scene; ``info`` tells each object's expected error and the pipeline's time."""
         assert self._observer is not None, "call reset() first"
         seen = self._observer(truth, self._carried(truth.last_action))
-        self._last = seen.scene
+        self._last = replace(seen.scene, assets=truth.assets)
         self.info = {"completion_error": seen.errors, "perception_seconds": sum(seen.seconds.values())}
-        return seen.scene
+        return self._last
 
     def _carried(self, action: np.ndarray | None) -> dict[str, str]:
         """Object -> hand, of what the last estimate says is grasped."""

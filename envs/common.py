@@ -85,7 +85,8 @@ def first_entities(state: State, layout: Layout) -> State:
 
 def outside(state: State) -> Tensor:
     """Bool (B,): something of the state is not finite, or an entity is out of bounds."""
-    finite = torch.stack([torch.isfinite(x.flatten(1)).all(1) for x in state.tensors]).all(0)
+    moving = state.tensors[1:]  # all but the clouds
+    finite = torch.stack([torch.isfinite(x.flatten(1)).all(1) for x in moving]).all(0)
     places = state.frames[..., 0, :, :3, 3] if isinstance(state, RigidState) else state.points()
     far = places.abs().flatten(1).amax(1) > BOUND  # NaN is not
     return ~finite | far

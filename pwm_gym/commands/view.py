@@ -92,7 +92,7 @@ def twin_record(run: Run, predicted: str) -> TwinRecord:
         true=true,
         layout=start.layout,
         error=np.array([chamfer(p, q) for p, q in zip(told, true, strict=True)]),
-        goal=start.goal,
+        goal=start.goal if len(start.goal) == 3 else None,  # a place, where the task has one
         predicted_reward=np.array([run.predicted_rewards[0], *run.predicted_rewards]),
         true_reward=np.array([run.rewards[0], *run.rewards]),
         title=f"{start.task}: planned in the world model, executed in the simulator",
