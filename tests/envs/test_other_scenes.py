@@ -10,7 +10,7 @@ from gymnasium.utils.env_checker import check_env
 
 from pwm_gym.envs import ModelEnv, ModelVectorEnv, SimEnv
 from pwm_gym.envs.camera_models import carried_objects
-from pwm_gym.errors import SceneError
+from pwm_gym.errors import PwmGymError, SceneError
 from pwm_gym.planning import Agent, MPPIConfig, Run, execute
 from pwm_gym.scene import Layout, RigidState, sample_surface
 from pwm_gym.tasks import get_task
@@ -145,6 +145,11 @@ def test_a_camera_sees_the_episodes_assets_and_what_hides_what(toy):
     assert clear == 1.0  # the camera sees the ball's near side alone
     assert hidden < 0.8  # an entity that is never seen keeps points of all sides
     assert block(env).shape == (60, 3) and np.abs(block(env)).max() < 0.03  # of the small block
+
+
+def test_a_robot_without_a_cloud_cannot_be_completed(toy):
+    with pytest.raises(PwmGymError, match="robot 'two hands' has no cloud of its links"):
+        SimEnv("Toy", observation="completed")
 
 
 # Which object is carried -------------------------------------------------------------------------------------------

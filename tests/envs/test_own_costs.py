@@ -26,7 +26,7 @@ def test_a_learned_cost(name):
     env.reset(seed=0)
     _, reward, *_ = env.step(ZERO)
     middle = env.unwrapped.state.entity("cube").mean(-2)
-    assert reward == pytest.approx(-float(network(middle)), abs=1e-6)
+    assert reward == pytest.approx(-float(network(middle).detach()), abs=1e-6)
     env.close()
 
 
