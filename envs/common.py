@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,8 @@ from torch import Tensor
 
 from pwm_gym.costs import Cost, cost_info, get_cost, get_grasp, get_success
 from pwm_gym.errors import PwmGymError, SceneError, unknown_name
-from pwm_gym.scene import Layout, Scene, State
+from pwm_gym.robots import Control
+from pwm_gym.scene import Layout, PointState, RigidState, Scene, State
 from pwm_gym.tasks import Task
 
 __all__ = [
@@ -23,6 +24,7 @@ __all__ = [
     "action_space",
     "check_actions",
     "check_render_mode",
+    "first_entities",
     "last_action",
     "observation_space",
     "observe",
@@ -68,11 +70,25 @@ def _clipped(value: Tensor, bound: float) -> Tensor:
     return value.clamp(-bound, bound).contiguous()
 
 
+def first_entities(state: State, layout: Layout) -> State:
+    """The state of the entities of ``layout`` alone, where further ones follow them."""
+    if len(state.layout) == len(layout):
+        return state
+    entities, points = len(layout), layout.points
+    clouds = state.clouds[..., :points, :]
+    if isinstance(state, RigidState):
+        error = None if state.error is None else state.error[..., :entities]
+        return replace(state, layout=layout, clouds=clouds, frames=state.frames[..., :entities, :, :], error=error)
+    assert isinstance(state, PointState)
+    return PointState(layout, clouds, state.frames[..., :points, :])
+
+
 def outside(state: State) -> Tensor:
-    """Bool (B,): some frame is not finite, or an entity is out of bounds."""
-    frames = state.frames.flatten(1)
-    finite = torch.isfinite(frames).all(1)
-    far = state.poses()[..., :3, 3].abs().flatten(1).amax(1) > BOUND
+    """Bool (B,): something of the state is not finite, or an entity is out of bounds."""
+    moving = state.tensors[1:]  # all but the clouds
+    finite = torch.stack([torch.isfinite(x.flatten(1)).all(1) for x in moving]).all(0)
+    places = state.frames[..., 0, :, :3, 3] if isinstance(state, RigidState) else state.points()
+    far = places.abs().flatten(1).amax(1) > BOUND  # NaN is not
     return ~finite | far
 
 
@@ -111,18 +127,16 @@ def check_render_mode(mode: str | None, known: Sequence[str]) -> str | None:
     return mode
 
 
-def last_action(scene: Scene, size: int) -> np.ndarray:
-    """The action (A,) that led to a scene; at rest with an open gripper where it does not say.
+def last_action(scene: Scene, control: Control) -> np.ndarray:
+    """The action (A,) that led to a scene; the control's rest where it does not say.
 
     Raises:
         SceneError: it is no action of this size.
     """
     if scene.last_action is None:
-        rest = np.zeros(size, np.float32)
-        rest[-1] = 1.0
-        return rest
+        return np.array(control.rest(), np.float32)
     try:
-        return check_actions(scene.last_action, (size,)).numpy()
+        return check_actions(scene.last_action, (control.size,)).numpy()
     except PwmGymError as error:
         raise SceneError(f"scene.last_action: {error}") from error
 
@@ -155,9 +169,12 @@ class Rules:
         self.grasp = get_grasp(task.grasp if grasp is None else grasp)
         self.success = get_success(task.success)
 
+    @torch.no_grad()
     def judge(self, state: State, action: Tensor, goal: Tensor) -> Judgement:
         """Judge states (B,) that actions (B, A) led to, for goals (B, G)."""
         points, info = cost_info(state, action, goal, self.grasp)
+        grasped = info["grasped"].clone()
+        success = self.success(points, info)  # before a cost of the user's own, which may write into what it reads
         terms = self.cost.evaluate(points, info)
         reward = -torch.stack(list(terms.values())).sum(0)
-        return Judgement(reward, terms, self.success(points, info), info["grasped"])
+        return Judgement(reward, terms, success, grasped)

@@ -49,7 +49,8 @@ class ModelEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
     Minus the registered cost (`cost=`), by default the port of the simulator's own shaped reward to clouds.
 
     ## Starting state
-    A random scene of the checkpoint's bank, at rest; or `reset(options={"scene": scene})`.
+    A random scene of the checkpoint's bank, at rest; or `reset(options={"scene": scene})`. Such a scene may have
+    further free entities after the task's (clutter): they move, costs can read them, observations leave them out.
 
     ## Episode end
     Success terminates. A prediction that leaves the bounds truncates with
@@ -105,6 +106,11 @@ class ModelEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
     def state(self) -> State:
         """The present state (1,)."""
         return self.vector.state
+
+    @property
+    def observed_state(self) -> State:
+        """The present state (1,) of the task's entities, which observations are of."""
+        return self.vector.observed_state
 
     @property
     def goal(self) -> Tensor:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import gymnasium as gym
@@ -14,20 +15,22 @@ from gymnasium.vector.utils import batch_space
 from torch import Tensor
 
 from pwm_gym.dynamics.checkpoint import load_checkpoint, resolve, use_device
+from pwm_gym.dynamics.protocols import expected_error
 from pwm_gym.envs.common import (
     Judgement,
     Rules,
     action_space,
     check_actions,
     check_render_mode,
+    first_entities,
     last_action,
     observation_space,
     observe,
     outside,
 )
 from pwm_gym.envs.rendering import SceneRenderer
-from pwm_gym.errors import PwmGymError, unknown_name
-from pwm_gym.scene import Entity, Scene, State, batch_state
+from pwm_gym.errors import PwmGymError, SceneError, unknown_name
+from pwm_gym.scene import Entity, RigidState, Scene, State, batch_state
 from pwm_gym.scene.se3 import pose7_from_matrix
 from pwm_gym.tasks import get_task
 
@@ -119,21 +122,27 @@ class ModelVectorEnv(EzPickle, gym.vector.VectorEnv[dict[str, np.ndarray], np.nd
         self._goal = torch.zeros(num_envs, self.task.goal_size, device=self.device)
         self.final_goal = self._goal
         self._action = torch.zeros(num_envs, self.task.action_size, device=self.device)
+        self._assets: list[tuple[str, ...]] = [()] * num_envs
         self._elapsed = np.zeros(num_envs, np.int64)
         self._done = np.zeros(num_envs, bool)
         self._renderer: SceneRenderer | None = None
 
     @property
     def entities(self) -> tuple[Entity, ...]:
-        """Entities and their slices of the points."""
+        """The task's entities and their slices of the points."""
         return self.layout.entities
 
     @property
     def state(self) -> State:
-        """The present state (B,)."""
+        """The present state (B,), of all entities of the scenes that it started from."""
         if self._state is None:
             raise PwmGymError("the environment has no state yet; call reset() first")
         return self._state
+
+    @property
+    def observed_state(self) -> State:
+        """The present state (B,) of the task's entities, which observations are of."""
+        return first_entities(self.state, self.layout)
 
     @property
     def goal(self) -> Tensor:
@@ -143,15 +152,16 @@ class ModelVectorEnv(EzPickle, gym.vector.VectorEnv[dict[str, np.ndarray], np.nd
     def scene(self, index: int = 0) -> Scene:
         """The present scene of one environment, velocities included: what ``options["scene"]`` takes."""
         frames = self.state.history()[index].double().cpu()  # (3, E, 4, 4)
-        joints = getattr(self.state, "joints", None)
+        joints = self.state.joints if isinstance(self.state, RigidState) else None
         return Scene(
             task=self.task.name,
-            layout=self.layout,
+            layout=self.state.layout,
             clouds=self.state.clouds[index].cpu().numpy().copy(),
             poses=pose7_from_matrix(frames).numpy(),
             goal=self._goal[index].cpu().numpy().copy(),
             joints=None if joints is None else joints[index].cpu().numpy().copy(),
             last_action=self._action[index].cpu().numpy().copy(),
+            assets=self._assets[index],
         )
 
     def reset(
@@ -164,7 +174,8 @@ class ModelVectorEnv(EzPickle, gym.vector.VectorEnv[dict[str, np.ndarray], np.nd
 
         Args:
             seed: an integer means seed + i for environment i; a list gives each its own.
-            options: "scene", and with autoreset disabled "reset_mask" (num_envs,) bool.
+            options: "scene", and with autoreset disabled "reset_mask" (num_envs,) bool. With autoreset disabled a
+                scene may have further free entities after the task's; all environments then have them.
         """
         options = dict(options or {})
         for key in options:
@@ -174,7 +185,7 @@ class ModelVectorEnv(EzPickle, gym.vector.VectorEnv[dict[str, np.ndarray], np.nd
         self._seed(seed, mask)
         self._restart(mask, self._scenes(options.get("scene"), mask))
         judgement = self.rules.judge(self.state, self._action, self._goal)
-        return self._out(observe(self.state, self._goal)), self._info(judgement, [""] * self.num_envs)
+        return self._observation(), self._info(judgement, [""] * self.num_envs)
 
     def _seed(self, seed: int | Sequence[int | None] | None, mask: np.ndarray) -> None:
         """Seed the generators of the environments that ``mask`` restarts."""
@@ -212,24 +223,42 @@ class ModelVectorEnv(EzPickle, gym.vector.VectorEnv[dict[str, np.ndarray], np.nd
         for item in scenes:
             if not isinstance(item, Scene):
                 raise PwmGymError(f"scene is a {type(item).__name__}; expected pwm_gym.Scene")
-        fits = [s.validate(self.task.name, self.layout, self.task.goal_size) for s in scenes]
-        return [s.coarsen(self.layout) for s in fits]
+        return [self._fitted(s) for s in scenes]
+
+    def _fitted(self, scene: Scene) -> Scene:
+        """A user's scene with this environment's points; further entities keep theirs."""
+        further = scene.layout.entities[len(self.layout) :]
+        scene.validate(self.task.name, self.layout, self.task.goal_size, extra=True)
+        if further and self.autoreset_mode is not AutoresetMode.DISABLED:
+            names = ", ".join(e.name for e in further)
+            raise SceneError(f"the scene has {names} besides the task's entities; that needs autoreset_mode 'Disabled'")
+        return scene.coarsen(self.layout.plus(further))
 
     def _restart(self, mask: np.ndarray, scenes: list[Scene]) -> None:
         """Put ``scenes`` where ``mask`` is set."""
+        actions = np.stack([last_action(s, self.task.control) for s in scenes])
+        self._check_layouts(scenes, mask)
         fresh = self.model.prepare(batch_state(scenes, self.device))
         goals = torch.as_tensor(np.stack([s.goal for s in scenes]), dtype=torch.float32, device=self.device)
-        actions = np.stack([last_action(s, self.task.action_size) for s in scenes])
         index = torch.as_tensor(np.flatnonzero(mask), device=self.device)
-        if self._state is None:
-            self._state = fresh
-        else:
-            pairs = iter(fresh.tensors)
-            self._state = self._state.map(lambda old: old.index_copy(0, index, next(pairs)))
+        self._state = fresh if self._state is None or mask.all() else _with_rows(self._state, index, fresh)
+        for i, scene in zip(np.flatnonzero(mask), scenes, strict=True):
+            self._assets[i] = scene.assets
         self._goal = self._goal.index_copy(0, index, goals)
         self._action = self._action.index_copy(0, index, torch.as_tensor(actions, device=self.device))
         self._elapsed[mask] = 0
         self._done[mask] = False
+
+    def _check_layouts(self, scenes: list[Scene], mask: np.ndarray) -> None:
+        """One batch has one layout: the new scenes', and that of the environments which go on."""
+        kept = None if self._state is None or mask.all() else self._state.layout
+        expected = kept or scenes[0].layout
+        for scene in scenes:
+            if scene.layout != expected:
+                raise SceneError(
+                    f"a scene's entities are {scene.layout.names}, of {scene.layout.points} points; expected those of "
+                    f"the other environments, {expected.names}, of {expected.points}"
+                )
 
     @torch.no_grad()
     def step(self, actions: np.ndarray | Tensor) -> tuple[dict[str, Any], Any, np.ndarray, np.ndarray, dict[str, Any]]:
@@ -267,7 +296,7 @@ class ModelVectorEnv(EzPickle, gym.vector.VectorEnv[dict[str, np.ndarray], np.nd
         truncated = escaped | late
         reasons = np.where(escaped, "left the bounds", np.where(late, "time limit", "")).tolist()
         reward = judgement.reward.masked_fill(torch.as_tensor(restarted, device=self.device), 0.0)
-        observation, info = self._out(observe(self.state, self._goal)), self._info(judgement, reasons)
+        observation, info = self._observation(), self._info(judgement, reasons)
         self._done = terminated | truncated
         if self.autoreset_mode is AutoresetMode.SAME_STEP and self._done.any():
             observation, info = self._restart_now(observation, info)
@@ -281,7 +310,11 @@ class ModelVectorEnv(EzPickle, gym.vector.VectorEnv[dict[str, np.ndarray], np.nd
         self._restart(done, self._scenes(None, done))
         judgement = self.rules.judge(self.state, self._action, self._goal)
         fresh = self._info(judgement, [""] * self.num_envs)
-        return self._out(observe(self.state, self._goal)), {**fresh, **final}
+        return self._observation(), {**fresh, **final}
+
+    def _observation(self) -> Any:
+        """Observations (num_envs, ...) of the present state."""
+        return self._out(observe(self.observed_state, self._goal))
 
     def _out(self, value: Any) -> Any:
         """Arrays (or tensors) for the caller, who alone holds ``value``."""
@@ -303,19 +336,38 @@ class ModelVectorEnv(EzPickle, gym.vector.VectorEnv[dict[str, np.ndarray], np.nd
             "cost_terms": arrays(judgement.terms),
             "reason": np.array(reasons, dtype=object),
         }
-        error = getattr(self.state, "error", None)
+        error = expected_error(self.state)
         if error is not None:
-            known["expected_error"] = arrays(dict(zip(self.layout.names, error.unbind(-1), strict=True)))
+            known["expected_error"] = arrays(dict(zip(self.state.layout.names, error.unbind(-1), strict=True)))
         return arrays(known)
 
     def render(self) -> tuple[np.ndarray, ...] | None:
         """A picture (H, W, 3) uint8 of each environment, with ``render_mode="rgb_array"``."""
         if self.render_mode is None:
             return None
-        if self._renderer is None:
-            self._renderer = SceneRenderer(self.layout, "predicted")
+        if self._renderer is None or self._renderer.layout != self.state.layout:
+            self._renderer = SceneRenderer(self.state.layout, "predicted")
         points, goals = self.state.points().cpu().numpy(), self._goal.cpu().numpy()
         return tuple(self._renderer(p, g) for p, g in zip(points, goals, strict=True))
 
     def close_extras(self, **kwargs: Any) -> None:
         """Nothing to free."""
+
+
+def _with_rows(state: State, index: Tensor, fresh: State) -> State:
+    """A state (B,) whose rows at ``index`` are those of ``fresh``.
+
+    Raises:
+        SceneError: one of them knows what the other does not, such as the robot's joints.
+    """
+    if isinstance(state, RigidState) and isinstance(fresh, RigidState):  # what a model's steps drop is not missed
+        joints = None if state.joints is None else fresh.joints
+        fresh = replace(fresh, joints=joints, error=None if state.error is None else fresh.error)
+    old, new = ([x.shape[1:] for x in s.tensors] for s in (state, fresh))
+    if old != new:
+        raise SceneError(
+            f"the new scenes' state has tensors of shapes {[*map(tuple, new)]}, that of the environments which go on "
+            f"{[*map(tuple, old)]}; expected the same (are joints known in some scenes only?)"
+        )
+    rows = iter(fresh.tensors)
+    return state.map(lambda x: x.index_copy(0, index, next(rows)))

@@ -1,72 +1,81 @@
-"""What the simulator's environment shows of a scene: all of it, what one camera sees, or what is made of that."""
+"""What an observation model is, and how a camera observation is configured; :mod:`pwm_gym.envs.build` builds one."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from pwm_gym.scene import Layout, Scene
-from pwm_gym.sim import Simulator
-from pwm_gym.tasks import Task
+from pwm_gym.errors import PwmGymError, unknown_name
+from pwm_gym.scene import Scene
 
 if TYPE_CHECKING:
+    import trimesh
+
     from pwm_gym.cameras import DepthCamera
     from pwm_gym.completion import Completer
 
-__all__ = ["OBSERVATIONS", "Sensing", "Sight", "build_sight"]
+__all__ = ["OBSERVATIONS", "Bodies", "CameraConfig", "ObservationModel"]
 
 OBSERVATIONS = ("complete", "completed", "partial")
 """What an environment may show."""
 
 
-@dataclass(frozen=True, eq=False)
-class Sensing:
-    """How a camera observation is made."""
+@dataclass(frozen=True)
+class CameraConfig:
+    """How a camera observation is made. Of names and numbers alone it survives a spec's JSON."""
 
-    camera: DepthCamera | None = None
-    """Where it looks from; None takes the default, in front of the robot to its right."""
+    viewpoint: str | Mapping[str, Any] | DepthCamera = "right"
+    """A registered viewpoint, the arguments of :meth:`pwm_gym.cameras.DepthCamera.looking` (``eye``, ``target``, ...),
+    or a camera."""
     sensor: str = "ideal"
     """Registered sensor model."""
     completer: str | Completer = "default"
     """A checkpoint's folder, "default" for the shipped one, "hull", or a completer."""
 
+    @classmethod
+    def of(cls, value: CameraConfig | Mapping[str, Any] | str | None) -> CameraConfig:
+        """The configuration that ``value`` stands for: itself, its fields by name, a viewpoint, or the default.
 
-class Sight(Protocol):
+        Raises:
+            UnknownNameError: a field that there is not.
+            PwmGymError: a value of another type.
+        """
+        if value is None or isinstance(value, str):
+            return cls() if value is None else cls(viewpoint=value)
+        if isinstance(value, CameraConfig):
+            return value
+        if not isinstance(value, Mapping):
+            raise PwmGymError(f"camera is a {type(value).__name__}; expected a CameraConfig, its fields or a viewpoint")
+        known = [f.name for f in fields(cls)]
+        for name in value:
+            if name not in known:
+                raise unknown_name("camera setting", name, known)
+        return cls(**value)
+
+
+@dataclass(frozen=True, eq=False)
+class Bodies:
+    """What a camera can see in one episode."""
+
+    assets: tuple[str, ...]
+    """Name of each entity's asset (E,)."""
+    clouds: np.ndarray
+    """Canonical points (N, 3), metres."""
+    meshes: Callable[[], Mapping[str, trimesh.Trimesh]]
+    """Makes each entity's surface in its own frame, metres."""
+
+
+class ObservationModel(Protocol):
     """Shows an episode's scenes, one after the other."""
 
     info: dict[str, Any]
     """What it tells of the last scene that it showed."""
 
-    def reset(self, seed: int) -> None:
-        """Begin an episode; ``seed`` is of the sensor's noise."""
+    def reset(self, seed: int, bodies: Bodies) -> None:
+        """Begin an episode of these bodies; ``seed`` is of the sensor's noise."""
 
     def __call__(self, truth: Scene) -> Scene:
         """What is shown of the next scene."""
-
-
-class _CompleteSight:
-    """Shows the truth."""
-
-    def __init__(self) -> None:
-        self.info: dict[str, Any] = {}
-
-    def reset(self, seed: int) -> None:
-        pass
-
-    def __call__(self, truth: Scene) -> Scene:
-        return truth
-
-
-def build_sight(
-    observation: str, task: Task, layout: Layout, simulator: Simulator, clouds: np.ndarray, sensing: Sensing
-) -> Sight:
-    """The sight called ``observation``, one of :data:`OBSERVATIONS`."""
-    if observation == "complete":
-        return _CompleteSight()
-    from pwm_gym.envs.camera_models import CompletedSight, PartialSight  # perception is loaded where it is used
-
-    if observation == "partial":
-        return PartialSight(layout, simulator, sensing)
-    return CompletedSight(task, layout, simulator, clouds, sensing)

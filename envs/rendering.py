@@ -14,6 +14,7 @@ class SceneRenderer:
     """Draws a cloud (N, 3) and its goal: predicted worlds in teal, true ones in purple."""
 
     def __init__(self, layout: Layout, world: str) -> None:
+        self.layout = layout
         self._camera = tabletop_camera()
         self._colors = entity_colors(layout, PREDICTED if world == "predicted" else TRUE)
 

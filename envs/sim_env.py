@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import Any
+from functools import cache
+from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
 import numpy as np
@@ -13,6 +14,7 @@ import torch
 from gymnasium.utils import EzPickle
 from torch import Tensor
 
+from pwm_gym.envs.build import build_observation_model
 from pwm_gym.envs.common import (
     Judgement,
     Rules,
@@ -23,15 +25,51 @@ from pwm_gym.envs.common import (
     observation_space,
     observe,
 )
-from pwm_gym.envs.observation_models import OBSERVATIONS, Sensing, build_sight
+from pwm_gym.envs.observation_models import OBSERVATIONS, Bodies, CameraConfig
 from pwm_gym.envs.rendering import SceneRenderer
-from pwm_gym.errors import PwmGymError, unknown_name
-from pwm_gym.scene import Entity, RigidState, Scene, batch_state, resample_clouds, sample_clouds
+from pwm_gym.errors import PwmGymError, SceneError, unknown_name
+from pwm_gym.scene import Entity, Layout, RigidState, Scene, batch_state, sample_surface
 from pwm_gym.seeds import RANGES
 from pwm_gym.sim import SimOutcome, Simulator
-from pwm_gym.tasks import get_task
+from pwm_gym.tasks import Task, get_task
+
+if TYPE_CHECKING:
+    import trimesh
 
 __all__ = ["SimEnv"]
+
+
+class AssetClouds:
+    """Canonical clouds of the assets that a task's episodes have had, each sampled once.
+
+    Args:
+        task: gives the full counts of points and the seed of the clouds.
+        layout: the same entities with the points that are wanted.
+    """
+
+    def __init__(self, task: Task, layout: Layout) -> None:
+        self._task, self._layout = task, layout
+        self._sampled: dict[tuple[int, str], np.ndarray] = {}
+
+    def __call__(self, assets: tuple[str, ...], meshes: Callable[[], Mapping[str, trimesh.Trimesh]]) -> np.ndarray:
+        """Canonical points (N, 3) of an episode's assets (E,), whose surfaces ``meshes`` makes.
+
+        Raises:
+            SceneError: another number of assets than entities, or an entity without a surface.
+        """
+        names = self._layout.names
+        if len(assets) != len(names):
+            raise SceneError(f"the simulator names {len(assets)} assets; expected one for each of {', '.join(names)}")
+        for i, (entity, asset) in enumerate(zip(self._task.layout, assets, strict=True)):
+            if (i, asset) not in self._sampled:
+                if entity.name not in meshes():
+                    raise SceneError(f"no mesh for {entity.name}; got {', '.join(meshes()) or 'none'}")
+                seed = self._task.cloud_seed + i
+                self._sampled[i, asset] = sample_surface(meshes()[entity.name], entity.points, seed)
+        parts = [
+            self._sampled[i, asset][: e.points] for i, (e, asset) in enumerate(zip(self._layout, assets, strict=True))
+        ]
+        return np.concatenate(parts)
 
 
 class SimEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
@@ -66,8 +104,9 @@ class SimEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
 
     ## Arguments
     * `task`: registered task. * `cost`: a registered cost or a callable. * `grasp`: a registered grasp rule.
-    * `observation`: "complete", "completed" or "partial". * `sensing`: camera, sensor model and completer of the
-    last two. * `points`: points of a scene in all. * `render_mode`: None or "rgb_array".
+    * `observation`: "complete", "completed" or "partial". * `camera`: viewpoint, sensor and completer of the
+    last two: a `pwm_gym.envs.CameraConfig`, its fields as a dict, or a viewpoint's name.
+    * `points`: points of a scene in all. * `render_mode`: None or "rgb_array".
 
     ## Version history
     * v0: initial release.
@@ -83,9 +122,9 @@ class SimEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
         observation: str = "complete",
         points: int | None = None,
         render_mode: str | None = None,
-        sensing: Sensing | None = None,
+        camera: CameraConfig | Mapping[str, Any] | str | None = None,
     ) -> None:
-        EzPickle.__init__(self, task, cost, grasp, observation, points, render_mode, sensing)
+        EzPickle.__init__(self, task, cost, grasp, observation, points, render_mode, camera)
         if observation not in OBSERVATIONS:  # before a simulator is made
             raise unknown_name("observation", observation, OBSERVATIONS)
         self.task, self.render_mode = get_task(task), check_render_mode(render_mode, self.metadata["render_modes"])
@@ -93,16 +132,14 @@ class SimEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
         self.rules = Rules(self.task, cost, grasp)
         self.action_space = action_space(self.task.action_size)
         self.observation_space = observation_space(self.layout, self.task.goal_size)
+        self._observation = build_observation_model(observation, self.task, self.layout, CameraConfig.of(camera))
         self.simulator: Simulator = self.task.simulator()
-        clouds = sample_clouds(self.simulator.meshes(), self.task.layout, self.task.cloud_seed)
-        self._clouds = resample_clouds(clouds, self.task.layout, self.layout)
-        sensing = sensing or Sensing()
-        self._sight = build_sight(observation, self.task, self.layout, self.simulator, self._clouds, sensing)
+        self._clouds = AssetClouds(self.task, self.layout)
         self._scene: Scene | None = None  # that the episode began with
         self._now: Scene | None = None
         self._shown: Scene | None = None
         self._poses: deque[np.ndarray] = deque(maxlen=3)  # newest first
-        self._action = np.zeros(self.task.action_size, np.float32)
+        self._action = np.array(self.task.control.rest(), np.float32)
         self._renderer: SceneRenderer | None = None
 
     @property
@@ -114,6 +151,11 @@ class SimEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
     def state(self) -> RigidState:
         """The present state (1,), the true one."""
         return batch_state([self.scene(truth=True)])
+
+    @property
+    def observed_state(self) -> RigidState:
+        """The state (1,) that observations are of."""
+        return batch_state([self.scene()])
 
     @property
     def goal(self) -> Tensor:
@@ -140,29 +182,43 @@ class SimEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
             if key != "scene":
                 raise unknown_name("reset option", key, ["scene"])
         scene = (options or {}).get("scene")
-        if scene is not None:
-            self._start_from(scene)
-        else:
-            seeds = RANGES["plan_test"]
-            drawn = int(self.np_random.integers(seeds.start, seeds.stop)) if seed is None else seed
-            self.simulator.reset(drawn)
-            poses = self.simulator.poses()
-            self._poses = deque([poses] * 3, maxlen=3)
-            goal = self.simulator.goal()
-            self._scene = Scene(self.task.name, self.layout, self._clouds, np.stack([poses] * 3), goal)
-            self._action = last_action(self._scene, self.task.action_size)
-        self._sight.reset(int(self.np_random.integers(2**31)))
+        bodies = self._start(seed) if scene is None else self._start_from(scene)
+        self._observation.reset(int(self.np_random.integers(2**31)), bodies)
         self._show()
         return self._observe(), self._info(self._judge(), self.simulator.outcome())
 
-    def _start_from(self, scene: Scene) -> None:
+    def _start(self, seed: int | None) -> Bodies:
+        """Begin the simulator's episode of ``seed``, or of a random one."""
+        seeds = RANGES["plan_test"]
+        self.simulator.reset(int(self.np_random.integers(seeds.start, seeds.stop)) if seed is None else seed)
+        bodies, poses = self._bodies(), self.simulator.poses()
+        self._poses = deque([poses] * 3, maxlen=3)
+        self._scene = Scene(
+            task=self.task.name,
+            layout=self.layout,
+            clouds=bodies.clouds,
+            poses=np.stack([poses] * 3),
+            goal=self.simulator.goal(),
+            assets=bodies.assets,
+        )
+        self._action = last_action(self._scene, self.task.control)
+        return bodies
+
+    def _bodies(self) -> Bodies:
+        """What the present episode's entities look like."""
+        assets, meshes = tuple(self.simulator.assets()), cache(self.simulator.meshes)
+        return Bodies(assets, self._clouds(assets, meshes), meshes)
+
+    def _start_from(self, scene: Scene) -> Bodies:
         if not isinstance(scene, Scene):
             raise PwmGymError(f"scene is a {type(scene).__name__}; expected pwm_gym.Scene")
         scene = scene.validate(self.task.name, self.layout, self.task.goal_size).coarsen(self.layout)
-        action = last_action(scene, self.task.action_size)
+        action = last_action(scene, self.task.control)
         self.simulator.restore(scene)
-        self._scene, self._action = scene, action
+        bodies = self._bodies()
+        self._scene, self._action = replace(scene, assets=bodies.assets), action
         self._poses = deque(scene.poses, maxlen=3)
+        return bodies
 
     def step(self, action: np.ndarray) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
         """One control step under an action (A,) in [-1, 1]."""
@@ -184,7 +240,7 @@ class SimEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
             joints=self.simulator.joints(),
             last_action=self._action.copy(),
         )
-        self._shown = self._sight(self._now)
+        self._shown = self._observation(self._now)
 
     def _judge(self) -> Judgement:
         return self.rules.judge(self.state, torch.as_tensor(self._action)[None], self.goal)
@@ -194,7 +250,7 @@ class SimEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
 
     def _info(self, judgement: Judgement, outcome: SimOutcome) -> dict[str, Any]:
         return {
-            **self._sight.info,
+            **self._observation.info,
             "success": outcome.success,
             "grasped": bool(judgement.grasped[0]),
             "cost_terms": {name: float(value[0]) for name, value in judgement.terms.items()},

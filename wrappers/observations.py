@@ -58,4 +58,4 @@ class EntityPoses(gym.ObservationWrapper[np.ndarray, np.ndarray, dict[str, np.nd
     def observation(self, observation: dict[str, np.ndarray]) -> np.ndarray:
         """The vector (12 E + G,)."""
         base: Any = self.env.unwrapped
-        return pose_features(base.state, base.goal)[0].cpu().numpy().clip(-2.0, 2.0)
+        return pose_features(base.observed_state, base.goal)[0].cpu().numpy().clip(-2.0, 2.0)

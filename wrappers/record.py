@@ -62,7 +62,7 @@ class RecordRollout(gym.Wrapper[Any, np.ndarray, Any, np.ndarray], RecordConstru
         """Write the episode under way, if it has a step."""
         if self._actions:
             base: Any = self.env.unwrapped
-            scene = base.scene()
+            scene = base.scene(truth=True)
             arrays = {
                 "poses": np.stack(self._poses),
                 "actions": np.stack(self._actions),

@@ -55,7 +55,7 @@ class SB3VecEnv(VecEnv):
     def _observed(self, observation: Any) -> Any:
         if not self._poses:
             return observation
-        return pose_features(self._base.state, self._base.goal).cpu().numpy().clip(-2.0, 2.0)
+        return pose_features(self._base.observed_state, self._base.goal).cpu().numpy().clip(-2.0, 2.0)
 
     def reset(self) -> Any:
         """First observations (num_envs, ...)."""

@@ -7,6 +7,8 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import torch
+from gymnasium.envs.registration import EnvSpec
+from gymnasium.utils import RecordConstructorArgs
 
 from pwm_gym.envs.model_env import ModelEnv
 from pwm_gym.envs.sim_env import SimEnv
@@ -35,7 +37,17 @@ def divergence(predicted: State, true: State) -> dict[str, Any]:
     }
 
 
-class Twin(gym.Wrapper[dict[str, np.ndarray], np.ndarray, dict[str, np.ndarray], np.ndarray]):
+def _recorded(spec: EnvSpec | None) -> EnvSpec | str | None:
+    """A spec as JSON, so that it can be part of another; itself where it holds live objects."""
+    if spec is None:
+        return None
+    try:
+        return spec.to_json()
+    except (TypeError, ValueError):
+        return spec
+
+
+class Twin(gym.Wrapper[dict[str, np.ndarray], np.ndarray, dict[str, np.ndarray], np.ndarray], RecordConstructorArgs):
     """Steps a model environment and its simulator twin together: the same scene, the same actions.
 
     Observations, rewards and ends are the model's. ``info["twin"]`` is the simulator's info with its
@@ -48,15 +60,19 @@ class Twin(gym.Wrapper[dict[str, np.ndarray], np.ndarray, dict[str, np.ndarray],
 
     Args:
         env: model environment.
-        twin: simulator environment of the same task.
+        twin: simulator environment of the same task, or the id or the spec (as JSON, too) to make it from.
     """
 
     def __init__(
         self,
         env: gym.Env[dict[str, np.ndarray], np.ndarray],
-        twin: gym.Env[dict[str, np.ndarray], np.ndarray],
+        twin: gym.Env[dict[str, np.ndarray], np.ndarray] | EnvSpec | str,
     ) -> None:
-        super().__init__(env)
+        if not isinstance(twin, gym.Env):
+            is_json = isinstance(twin, str) and twin.lstrip().startswith("{")
+            twin = gym.make(EnvSpec.from_json(twin) if is_json else twin)  # type: ignore[arg-type]
+        RecordConstructorArgs.__init__(self, twin=_recorded(twin.spec))
+        gym.Wrapper.__init__(self, env)
         model, simulator = env.unwrapped, twin.unwrapped
         if not isinstance(model, ModelEnv) or not isinstance(simulator, SimEnv):
             found = f"{type(model).__name__}, {type(simulator).__name__}"

@@ -64,7 +64,7 @@ class Plan:
 
         import pwm_gym  # noqa: F401  (registers)
         from pwm_gym.dynamics import load_checkpoint, resolve
-        from pwm_gym.envs import Sensing
+        from pwm_gym.envs import CameraConfig
         from pwm_gym.errors import unknown_name
         from pwm_gym.evaluation import planning_table, run_episodes, save_runs, write_results
         from pwm_gym.planning import Agent
@@ -80,9 +80,9 @@ class Plan:
         model = load_checkpoint(resolve(self.checkpoint, self.task)).model
         seeds = seed_range(self.seeds, self.episodes, self.offset)
         agent = Agent(model, self.task, config, penalties=self._penalties(task), caution=self.caution)
-        sensing = Sensing(sensor=self.sensor, completer=self.completer)
+        camera = CameraConfig(sensor=self.sensor, completer=self.completer)
         twin = f"pwm/{self.task}Sim-v0"
-        settings: dict[str, Any] = {"observation": self.observation, "sensing": sensing}
+        settings: dict[str, Any] = {"observation": self.observation, "camera": camera}
         with gym.make(twin, max_episode_steps=self.max_steps, **settings) as env:
             runs = run_episodes(env, agent, seeds, self.max_steps, self.chunk)
         table = planning_table(runs)

@@ -58,18 +58,20 @@ def rolled_out(run: Run, agent: Agent) -> Run:
     """The same run, with what an agent's model predicts of all its actions from the first scene alone."""
     import torch
 
+    from pwm_gym.costs import get_cost
     from pwm_gym.dynamics import rollout
     from pwm_gym.scene import batch_state
     from pwm_gym.scene.se3 import pose7_from_matrix
 
     start = run.shown or run.start
+    cost = get_cost(run.settings.get("reward_cost", agent.task.cost))
     agent.look(start)
     with torch.no_grad():
         states = rollout(agent.model, batch_state([start]), torch.as_tensor(run.actions)[None])[0]
     return replace(
         run,
         predicted=pose7_from_matrix(states.poses().double()).numpy(),
-        predicted_rewards=agent.rewards(states, run.actions),
+        predicted_rewards=agent.rewards(states, run.actions, cost),
         terms={},
         predicted_terms={},  # the run's planner may have had other terms than the task's cost
     )
@@ -90,7 +92,7 @@ def twin_record(run: Run, predicted: str) -> TwinRecord:
         true=true,
         layout=start.layout,
         error=np.array([chamfer(p, q) for p, q in zip(told, true, strict=True)]),
-        goal=start.goal,
+        goal=start.goal if len(start.goal) == 3 else None,  # a place, where the task has one
         predicted_reward=np.array([run.predicted_rewards[0], *run.predicted_rewards]),
         true_reward=np.array([run.rewards[0], *run.rewards]),
         title=f"{start.task}: planned in the world model, executed in the simulator",

@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from pwm_gym.errors import PwmGymError, look_up
-from pwm_gym.scene import EntityPoints, State
+from pwm_gym.scene import EntityPoints, RigidState, State
 
 __all__ = [
     "COSTS",
@@ -166,14 +166,19 @@ def get_grasp(name: str) -> Function:
 
 
 def cost_info(state: State, action: Tensor, goal: Tensor, grasp: Function) -> tuple[Points, dict[str, Any]]:
-    """What a cost reads of states (B,), the actions (B, A) that led there and goals (B, G)."""
+    """What a cost reads of states (B,), the actions (B, A) that led there and goals (B, G).
+
+    All of it is the reader's own: a cost that writes into it changes neither the states nor the goals.
+    """
     points = EntityPoints(state)
+    own_goal = goal.clone()
+    joints = state.joints if isinstance(state, RigidState) else None
     info: dict[str, Any] = {
-        "goal": goal,
-        "action": action,
+        "goal": own_goal,
+        "action": action.clone(),
         "velocity": EntityPoints(state, velocity=True),
-        "joints": getattr(state, "joints", None),
-        "extra": {"goal_pos": goal},
+        "joints": None if joints is None else joints.clone(),
+        "extra": {"goal_pos": own_goal},
     }
     info["grasped"] = grasp(points, info)
     return points, info

@@ -182,7 +182,7 @@ def compare_planners(
     config = MPPIConfig(horizon=horizon).resize(samples)
     makers: dict[str, Callable[[FlatModel, Scene], Callable[[torch.Tensor], torch.Tensor]]] = {
         "pwm_gym": lambda flat, scene: _ours(flat, scene, model, task, config),
-        "pytorch_mppi": lambda flat, scene: _pytorch_mppi(flat, config),
+        "pytorch_mppi": lambda flat, scene: _pytorch_mppi(flat, task, config),
         "torchrl": lambda flat, scene: _torchrl(flat, scene, config),
     }
     table = {}
@@ -206,7 +206,7 @@ def compare_planners(
 def _ours(
     flat: FlatModel, scene: Scene, model: WorldModel, task: Task, config: MPPIConfig
 ) -> Callable[[torch.Tensor], torch.Tensor]:
-    planner, generator = build_planner(config, task.action_size), torch.Generator().manual_seed(0)
+    planner, generator = build_planner(config, task.control), torch.Generator().manual_seed(0)
     objective = RolloutObjective(model, get_cost(task.plan_cost), get_grasp(task.grasp))
     goal = torch.as_tensor(scene.goal)[None]
 
@@ -216,10 +216,10 @@ def _ours(
     return act
 
 
-def _pytorch_mppi(flat: FlatModel, config: MPPIConfig) -> Callable[[torch.Tensor], torch.Tensor]:
+def _pytorch_mppi(flat: FlatModel, task: Task, config: MPPIConfig) -> Callable[[torch.Tensor], torch.Tensor]:
     from pwm_gym.planning.adapters.pytorch_mppi import pytorch_mppi
 
-    sigma = tuple(max(s, _LEAST_NOISE) for s in config.sigma)
+    sigma = tuple(max(s, _LEAST_NOISE) for s in config.noise.resolve(task.control).sigma)
     act: Callable[[torch.Tensor], torch.Tensor] = pytorch_mppi(flat, sigma, config.samples, config.horizon).command
     return act
 

@@ -207,7 +207,7 @@ def _model(member: Member, data: Path, out: Path, task: Task) -> WorldModel:
 
 def _plan(model: WorldModel, member: Member, task: Task, chunk: int, episodes: int, folder: Path) -> dict[str, Any]:
     """Test seeds of planning in the simulator; failed runs are saved in ``folder``."""
-    from pwm_gym.envs import Sensing  # trainings import this module, and need no environments
+    from pwm_gym.envs import CameraConfig  # trainings import this module, and need no environments
 
     observe: Callable[[Scene], Scene] | None = None
     if member.partial:
@@ -215,7 +215,7 @@ def _plan(model: WorldModel, member: Member, task: Task, chunk: int, episodes: i
         observe = PartialView(simulator.meshes(), task.layout)
         simulator.close()
     agent, seeds = Agent(model, task.name, member.config), seed_range("plan_test", episodes)
-    shown: dict[str, Any] = {"observation": member.observation, "sensing": Sensing(sensor=member.sensor)}
+    shown: dict[str, Any] = {"observation": member.observation, "camera": CameraConfig(sensor=member.sensor)}
     with gym.make(f"pwm/{task.name}Sim-v0", max_episode_steps=member.max_steps, **shown) as env:
         runs = run_episodes(env, agent, seeds, member.max_steps, chunk, observe)
     save_runs([run for run in runs if not run.success], folder)

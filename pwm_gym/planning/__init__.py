@@ -6,6 +6,7 @@ from pwm_gym.planning.constraints import keep_clear, workspace
 from pwm_gym.planning.execute import execute
 from pwm_gym.planning.gradient import GradientConfig, GradientPlanner
 from pwm_gym.planning.mppi import MPPI, MPPIConfig
+from pwm_gym.planning.noise import ActionNoise, NoiseConfig
 from pwm_gym.planning.objective import RolloutObjective
 from pwm_gym.planning.registry import PLANNERS, build_planner, get_planner_config
 from pwm_gym.planning.run import Run
@@ -15,11 +16,13 @@ __all__ = [
     "CEM",
     "MPPI",
     "PLANNERS",
+    "ActionNoise",
     "Agent",
     "CEMConfig",
     "GradientConfig",
     "GradientPlanner",
     "MPPIConfig",
+    "NoiseConfig",
     "Objective",
     "Planner",
     "RolloutObjective",

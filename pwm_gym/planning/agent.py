@@ -9,10 +9,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from pwm_gym.costs import cost_info, get_cost, get_grasp
+from pwm_gym.costs import Cost, cost_info, get_cost, get_grasp
 from pwm_gym.costs.registry import Function
 from pwm_gym.dynamics.model import WorldModel
-from pwm_gym.errors import PwmGymError
+from pwm_gym.errors import PwmGymError, SceneError
 from pwm_gym.planning.mppi import MPPIConfig
 from pwm_gym.planning.objective import RolloutObjective
 from pwm_gym.planning.registry import build_planner
@@ -49,27 +49,47 @@ class Agent:
         caution: float = 0.0,
     ) -> None:
         self.task, self.device, self.model = get_task(task), device, model
-        self.planner: Planner = build_planner(config or MPPIConfig(), self.task.action_size, device)
+        self.planner: Planner = build_planner(config or MPPIConfig(), self.task.control, device)
         self.cost = get_cost(self.task.plan_cost if cost is None else cost).plus(penalties or {})
         self.objective = RolloutObjective(model, self.cost, get_grasp(self.task.grasp), caution=caution)
         self._generator = torch.Generator(device).manual_seed(seed)
         self._state: State | None = None
         self._goal = torch.empty(0)
+        self._action: Tensor | None = None  # (B, A), that led to the state, where it is known
         self._one = True  # whether it looked at one scene, not at a sequence of them
 
     def reset(self, seed: int) -> None:
         """Forget the last plan and the last scene, and reseed the noise."""
         self.planner.reset()
         self._generator.manual_seed(seed)
-        self._state = None
+        self._state = self._action = None
 
     def look(self, scene: Scene | Sequence[Scene]) -> None:
-        """Go on from a scene, or from several at once."""
+        """Go on from a scene, or from several at once, which may have entities besides the task's.
+
+        Raises:
+            SceneError: a scene of another task, or one whose arrays do not fit or are not finite.
+        """
         self._one = isinstance(scene, Scene)
         scenes = [scene] if isinstance(scene, Scene) else list(scene)
+        for item in scenes:
+            self._check(item)
         self._state = self.model.prepare(batch_state(scenes, self.device))
         goals = np.stack([s.goal for s in scenes])
         self._goal = torch.as_tensor(goals, dtype=torch.float32, device=self.device)
+        actions = [s.last_action for s in scenes if s.last_action is not None]
+        self._action = None
+        if len(actions) == len(scenes):
+            self._action = torch.as_tensor(np.stack(actions), dtype=torch.float32, device=self.device)
+
+    def _check(self, scene: Scene) -> None:
+        wanted, size = self.task.layout.names, self.task.action_size
+        if scene.layout.names[: len(wanted)] != wanted:
+            raise SceneError(f"the scene's entities are {scene.layout.names}; expected them to begin with {wanted}")
+        scene.validate(self.task.name, scene.layout, self.task.goal_size)  # of any number of points
+        action = scene.last_action
+        if action is not None and (np.shape(action) != (size,) or not np.isfinite(action).all()):
+            raise SceneError(f"scene.last_action is {action}; expected {size} finite values")
 
     def plan(self, scene: Scene | Sequence[Scene] | None = None) -> np.ndarray:
         """Planned actions (H, A), or (B, H, A) of several scenes.
@@ -83,7 +103,7 @@ class Agent:
         if scene is not None:
             self.look(scene)
         objective = self.objective.begin(self._present(), self._goal)
-        plans = self.planner.plan(objective, self._generator, len(self._goal)).cpu().numpy()
+        plans = self.planner.plan(objective, self._generator, len(self._goal), self._action).cpu().numpy()
         return plans[0].copy() if self._one else plans.copy()  # the planner keeps its own
 
     def act(self, scene: Scene | Sequence[Scene] | None = None) -> np.ndarray:
@@ -94,25 +114,36 @@ class Agent:
     def advance(self, action: np.ndarray) -> State:
         """Take the model's prediction (B,) of an action (A,), or of actions (B, A), for the present state."""
         command = torch.as_tensor(action, dtype=torch.float32, device=self.device)
-        self._state = self.model.step(self._present(), command[None] if self._one else command)
+        actions = command[None] if self._one else command
+        self._state = self.model.step(self._present(), actions)
+        self._action = actions
         return self._state
 
     @torch.no_grad()
     def terms(self, states: State, actions: np.ndarray) -> dict[str, np.ndarray]:
         """The planning cost's weighted terms, each (T,), in states (T,) after actions (T, A)."""
-        points, info = self._seen(states, actions)
+        points, info = self._seen(states, actions, self.objective.grasp)
         return {name: value.cpu().numpy() for name, value in self.cost.evaluate(points, info).items()}
 
     @torch.no_grad()
-    def rewards(self, states: State, actions: np.ndarray) -> np.ndarray:
-        """The task's rewards (T,) in states (T,) after actions (T, A)."""
-        points, info = self._seen(states, actions)
-        return -get_cost(self.task.cost)(points, info).cpu().numpy()
+    def rewards(
+        self, states: State, actions: np.ndarray, cost: Cost | None = None, grasp: Function | None = None
+    ) -> np.ndarray:
+        """Rewards (T,) in states (T,) after actions (T, A).
 
-    def _seen(self, states: State, actions: np.ndarray) -> tuple[Mapping[str, Tensor], dict[str, Any]]:
+        Args:
+            states: one after the other.
+            actions: that led there.
+            cost: cost whose negative they are; None takes the task's.
+            grasp: grasp rule that the cost is told of; None takes the task's.
+        """
+        points, info = self._seen(states, actions, grasp or self.objective.grasp)
+        return -(cost or get_cost(self.task.cost))(points, info).cpu().numpy()
+
+    def _seen(self, states: State, actions: np.ndarray, grasp: Function) -> tuple[Mapping[str, Tensor], dict[str, Any]]:
         """What a cost reads of states (T,) after actions (T, A), for the first goal."""
         command = torch.as_tensor(actions, device=self.device)
-        return cost_info(states, command, self._goal[:1].expand(len(command), -1), self.objective.grasp)
+        return cost_info(states, command, self._goal[:1].expand(len(command), -1), grasp)
 
     def describe(self) -> dict[str, Any]:
         """What it plans with: model, planner and cost by name."""

@@ -8,7 +8,8 @@ import torch
 from torch import Tensor
 
 from pwm_gym.errors import PwmGymError
-from pwm_gym.planning.sampling import Objective, SamplingConfig, SamplingPlanner, power_law_noise
+from pwm_gym.planning.noise import power_law_noise
+from pwm_gym.planning.sampling import Objective, SamplingConfig, SamplingPlanner
 
 __all__ = ["CEM", "CEMConfig"]
 
@@ -25,23 +26,23 @@ class CEMConfig(SamplingConfig):
     """Share of the last mean and standard deviation that stays in the next (iCEM's alpha)."""
     floor: float = 0.05
     """Share of ``sigma`` below which no standard deviation falls."""
-    colour: float | None = None
-    """Exponent of power-law noise, instead of the noise of ``correlation``."""
+    noise_beta: float | None = None
+    """Exponent of power-law noise, instead of noise of the channels' ``correlation``."""
     shrink: float = 1.0
     """Factor by which each iteration has fewer samples, twice the elites at least."""
-    kept: float = 0.0
+    keep_elite_fraction: float = 0.0
     """Share of the elites that are samples of the next iteration, and, one step on, of the next plan."""
     best: bool = False
     """Whether the plan is the cheapest sequence of all, or else the last distribution's mean."""
 
-    def check(self, action_size: int) -> None:
-        """Refuse what cannot be, for actions of ``action_size`` dimensions.
+    def check(self) -> None:
+        """Refuse what cannot be.
 
         Raises:
             PwmGymError: naming the setting and what was expected.
         """
-        super().check(action_size)
-        for name in ("inertia", "floor", "kept"):
+        super().check()
+        for name in ("inertia", "floor", "keep_elite_fraction"):
             if not 0.0 <= getattr(self, name) <= 1.0:
                 raise PwmGymError(f"{name}={getattr(self, name)}; expected 0 to 1")
         if self.shrink < 1.0:
@@ -51,10 +52,10 @@ class CEMConfig(SamplingConfig):
     def icem(cls, horizon: int = 10) -> CEMConfig:
         """iCEM: coloured noise, elites that are kept, ever fewer samples, the best sequence.
 
-        As with all planners here, and not as published, some samples search wide and some refine (``finest``). Without
-        it the fingers often wait around an object and do not shut.
+        As with all planners here, and not as published, some samples search wide and some refine
+        (``min_noise_scale``). Without it the fingers often wait around an object and do not shut.
         """
-        return cls(horizon=horizon, colour=2.0, shrink=1.25, kept=0.3, best=True)
+        return cls(horizon=horizon, noise_beta=2.0, shrink=1.25, keep_elite_fraction=0.3, best=True)
 
 
 class CEM(SamplingPlanner[CEMConfig]):
@@ -74,7 +75,7 @@ class CEM(SamplingPlanner[CEMConfig]):
         plan, cheapest = mean, mean.new_full((len(mean),), torch.inf)
         for k in range(c.iterations):
             count = max(int(c.samples / c.shrink**k), min(c.samples, 2 * c.elites))
-            actions = self._sample(mean, sigma, self._coloured(len(mean), generator)[:, -count:])
+            actions = self._sample(mean, sigma, self._unit_noise(len(mean), generator)[:, -count:])
             if kept is not None:
                 actions = torch.cat([actions, kept], 1)
             costs = objective(actions)  # (B, S)
@@ -86,16 +87,16 @@ class CEM(SamplingPlanner[CEMConfig]):
             better = best[:, 0] < cheapest
             plan = torch.where(better[:, None, None], elites[:, 0], plan)
             cheapest = torch.where(better, best[:, 0], cheapest)
-            kept = elites[:, : round(c.kept * c.elites)] if c.kept else None
+            kept = elites[:, : round(c.keep_elite_fraction * c.elites)] if c.keep_elite_fraction else None
         self._elites = kept
         return plan if c.best else mean
 
-    def _coloured(self, batch: int, generator: torch.Generator) -> Tensor:
+    def _unit_noise(self, batch: int, generator: torch.Generator) -> Tensor:
         """Standard normal noise (B, S, H, A)."""
         c = self.config
-        if c.colour is None:
+        if c.noise_beta is None:
             return self._noise(batch, generator)
-        return power_law_noise((batch, c.samples, c.horizon, self.action_size), c.colour, generator)
+        return power_law_noise((batch, c.samples, c.horizon, self.action_size), c.noise_beta, generator)
 
     def _shifted_elites(self, batch: int) -> Tensor | None:
         """The last plan's elites one step on, their last actions repeated."""

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import gymnasium as gym
 import numpy as np
 
+from pwm_gym.costs import Cost
+from pwm_gym.costs.registry import Function
 from pwm_gym.errors import PwmGymError
 from pwm_gym.planning.agent import Agent
 from pwm_gym.planning.run import Run
@@ -16,6 +18,27 @@ from pwm_gym.scene import Scene, State, batch_state, stack
 from pwm_gym.scene.se3 import pose7_from_matrix
 
 __all__ = ["execute"]
+
+
+class Rules(Protocol):
+    """What an environment rewards by."""
+
+    @property
+    def cost(self) -> Cost:
+        """Cost whose negative is the reward."""
+
+    @property
+    def grasp(self) -> Function:
+        """Grasp rule that the cost is told of."""
+
+
+@runtime_checkable
+class Judged(Protocol):
+    """An environment that tells what it rewards by; others are taken to reward by the task's own cost."""
+
+    @property
+    def rules(self) -> Rules:
+        """Cost and grasp rule."""
 
 
 def execute(
@@ -67,7 +90,8 @@ def execute(
         scenes.append(base.scene(truth=True))
         if terminated or truncated:
             break
-    judged = _judged(agent, scenes, stack([s[0] for s in predicted], 0), np.stack(actions))
+    rules = base.rules if isinstance(base, Judged) else None
+    judged = _judged(agent, rules, scenes, stack([s[0] for s in predicted], 0), np.stack(actions))
     return Run(
         start=scenes[0],
         shown=None if np.array_equal(shown.clouds, scenes[0].clouds) else shown,
@@ -79,16 +103,19 @@ def execute(
         poses=np.stack([s.poses[0] for s in scenes]),
         chunk=chunk,
         at_reset=at_reset,
-        settings=agent.describe(),
+        settings={**agent.describe(), **({"reward_cost": rules.cost.name} if rules else {})},
         **judged,
     )
 
 
-def _judged(agent: Agent, scenes: list[Scene], predicted: State, actions: np.ndarray) -> dict[str, Any]:
+def _judged(
+    agent: Agent, rules: Rules | None, scenes: list[Scene], predicted: State, actions: np.ndarray
+) -> dict[str, Any]:
     """Predicted poses, and the costs of predicted states (T,) and real scenes (T + 1), as fields of a run."""
+    by = () if rules is None else (rules.cost, rules.grasp)
     return {
         "predicted": pose7_from_matrix(predicted.poses().double().cpu()).numpy(),
-        "predicted_rewards": agent.rewards(predicted, actions),
+        "predicted_rewards": agent.rewards(predicted, actions, *by),
         "terms": agent.terms(batch_state(scenes[1:], agent.device), actions),
         "predicted_terms": agent.terms(predicted, actions),
     }

@@ -26,13 +26,13 @@ class GradientConfig(SamplingConfig):
     rate: float = 0.05
     """Adam's learning rate, in action units."""
 
-    def check(self, action_size: int) -> None:
-        """Refuse what cannot be, for actions of ``action_size`` dimensions.
+    def check(self) -> None:
+        """Refuse what cannot be.
 
         Raises:
             PwmGymError: naming the setting and what was expected.
         """
-        super().check(action_size)
+        super().check()
         if not self.rate > 0.0:
             raise PwmGymError(f"rate={self.rate}; expected more than 0")
 
@@ -50,11 +50,9 @@ class GradientPlanner(SamplingPlanner[GradientConfig]):
             refined = best.clone().requires_grad_()
             adam = torch.optim.Adam([refined], lr=c.rate)
             for _ in range(c.iterations):
-                costs = objective(refined)
-                adam.zero_grad()
-                costs.sum().backward()
-                assert refined.grad is not None
-                refined.grad.mul_(free)
+                # Of the actions alone: a learned cost's own weights are to keep the gradients that they have.
+                (gradient,) = torch.autograd.grad(objective(refined).sum(), refined)
+                refined.grad = gradient * free
                 adam.step()
                 with torch.no_grad():
                     refined.clamp_(-self._bound, self._bound)

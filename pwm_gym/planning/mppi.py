@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from pwm_gym.errors import PwmGymError
+from pwm_gym.planning.noise import ActionNoise, NoiseConfig
 from pwm_gym.planning.sampling import Objective, SamplingConfig, SamplingPlanner
 
 __all__ = ["MPPI", "MPPIConfig"]
@@ -22,13 +23,13 @@ class MPPIConfig(SamplingConfig):
     relative: bool = True
     """Whether the temperature is in units of the elites' cost spread."""
 
-    def check(self, action_size: int) -> None:
-        """Refuse what cannot be, for actions of ``action_size`` dimensions.
+    def check(self) -> None:
+        """Refuse what cannot be.
 
         Raises:
             PwmGymError: naming the setting and what was expected.
         """
-        super().check(action_size)
+        super().check()
         if not self.temperature > 0.0:
             raise PwmGymError(f"temperature={self.temperature}; expected more than 0")
 
@@ -41,10 +42,9 @@ class MPPIConfig(SamplingConfig):
             elites=64,
             temperature=0.7,
             relative=False,
-            sigma=(5.0,),
-            correlation=(0.0,),
-            finest=(1.0,),
-            stops=0,
+            noise=ActionNoise.uniform(NoiseConfig(sigma=(5.0,), correlation=0.0, min_noise_scale=1.0)),
+            stop_samples=0,
+            single_arm_share=0.0,
         )
 
 

@@ -10,6 +10,7 @@ from torch import Tensor
 from pwm_gym.costs import Cost, cost_info
 from pwm_gym.costs.registry import Function
 from pwm_gym.dynamics.model import WorldModel, rollout
+from pwm_gym.dynamics.protocols import expected_error
 from pwm_gym.errors import PwmGymError
 from pwm_gym.scene import RigidState, State
 
@@ -49,7 +50,7 @@ class RolloutObjective:
             PwmGymError: caution is asked for with a model that does not tell its expected error.
         """
         state = self.model.prepare(state)
-        if self.caution and getattr(state, "error", None) is None:
+        if self.caution and expected_error(state) is None:
             kind = type(self.model).__name__
             raise PwmGymError(f"caution={self.caution}; {kind} does not tell its expected error")
         if isinstance(state, RigidState):
@@ -76,8 +77,8 @@ class RolloutObjective:
         goal = _repeat(self._goal, samples * horizon)
         points, info = cost_info(flat, actions.reshape(-1, size), goal, self.grasp)
         costs = self.cost(points, info)
-        if self.caution and isinstance(flat, RigidState) and flat.error is not None:
-            costs = costs + self.caution * flat.error.sum(-1)
+        if self.caution and (error := expected_error(flat)) is not None:
+            costs = costs + self.caution * error.sum(-1)
         costs = costs.view(batch, samples, horizon)
         return costs.sum(-1) + self.terminal * costs[..., -1]
 

@@ -7,6 +7,7 @@ from pwm_gym.planning.cem import CEM, CEMConfig
 from pwm_gym.planning.gradient import GradientConfig, GradientPlanner
 from pwm_gym.planning.mppi import MPPI, MPPIConfig
 from pwm_gym.planning.sampling import Planner, SamplingConfig
+from pwm_gym.robots import Control
 
 __all__ = ["PLANNERS", "build_planner", "get_planner_config"]
 
@@ -31,14 +32,14 @@ def get_planner_config(name: str) -> SamplingConfig:
     return look_up("planner", name, PLANNERS)
 
 
-def build_planner(config: SamplingConfig, action_size: int, device: str = "cpu") -> Planner:
-    """The planner that a configuration is of.
+def build_planner(config: SamplingConfig, control: Control, device: str = "cpu") -> Planner:
+    """The planner that a configuration is of, for a robot's actions.
 
     Raises:
-        PwmGymError: it is of none, or holds a setting that cannot be.
+        PwmGymError: it is of none, or holds a setting that does not fit the control.
     """
     if type(config) not in _BUILDERS:
         known = ", ".join(kind.__name__ for kind in _BUILDERS)
         raise PwmGymError(f"{type(config).__name__} is no planner's configuration; expected one of {known}")
-    planner: Planner = _BUILDERS[type(config)](config, action_size, device)
+    planner: Planner = _BUILDERS[type(config)](config, control, device)
     return planner

@@ -64,7 +64,7 @@ class Run:
     predicted: np.ndarray
     """Poses (T, E, 7) that the model predicted after each action, since it last looked."""
     predicted_rewards: np.ndarray
-    """The task's rewards (T,) of the predicted states."""
+    """Rewards (T,) of the predicted states, by the environment's own cost."""
     terms: dict[str, np.ndarray] = field(default_factory=dict)
     """The planner's cost of the real states after each action, term -> (T,)."""
     predicted_terms: dict[str, np.ndarray] = field(default_factory=dict)
@@ -74,7 +74,7 @@ class Run:
     at_reset: bool = False
     """Whether it was a success before the first action; such seeds are left out of tables."""
     settings: dict[str, Any] = field(default_factory=dict)
-    """What planned: model, planner and cost."""
+    """What planned: model, planner and cost; ``reward_cost`` names the cost that the rewards are of."""
     shown: Scene | None = None
     """The first scene as it was shown, where its clouds are not the real ones; ``predicted`` moves those."""
 
@@ -144,6 +144,7 @@ class Run:
         values, names = found["terms"], header.terms
         if names and values.shape[:1] != (2 * len(names),):
             raise PwmGymError(f"{path} has terms of shape {values.shape}; expected {2 * len(names)} rows")
+        arrays: dict[str, Any] = {name: found[name] for name in _ARRAYS}
         shown = None if header.shown_layout is None else _scene(header, header.shown_layout, found, _SHOWN)
         return cls(
             start=_scene(header, header.layout, found, _START),
@@ -152,7 +153,7 @@ class Run:
             terms=dict(zip(names, values, strict=False)),
             predicted_terms=dict(zip(names, values[len(names) :], strict=False)),
             **{name: getattr(header, name) for name in _FACTS},
-            **{name: found[name] for name in _ARRAYS},
+            **arrays,
         )
 
 

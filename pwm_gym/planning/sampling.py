@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Generic, Protocol, Self, TypeVar
 
 import torch
 from torch import Tensor
 
 from pwm_gym.errors import PwmGymError
+from pwm_gym.planning.noise import ActionNoise, arm_mask
+from pwm_gym.robots import Control
 
-__all__ = ["Objective", "Planner", "SamplingConfig", "SamplingPlanner", "power_law_noise"]
+__all__ = ["Objective", "Planner", "SamplingConfig", "SamplingPlanner"]
 
 Objective = Callable[[Tensor], Tensor]
 """Actions (B, S, H, A) -> costs (B, S), differentiable where the model and the cost are."""
@@ -24,13 +26,17 @@ class Planner(Protocol):
     def reset(self) -> None:
         """Forget the last plan."""
 
-    def plan(self, objective: Objective, generator: torch.Generator, batch: int = 1) -> Tensor:
+    def plan(
+        self, objective: Objective, generator: torch.Generator, batch: int = 1, last_action: Tensor | None = None
+    ) -> Tensor:
         """Action sequences (B, H, A), the first of which is to be executed.
 
         Args:
             objective: costs (B, S) of action sequences (B, S, H, A).
             generator: source of the noise.
             batch: B, environments planned for at once.
+            last_action: actions (B, A) that led to the present state, where they are known: absolute targets and
+                grippers begin there.
         """
 
 
@@ -44,43 +50,38 @@ class SamplingConfig:
     """Steps that each looks ahead."""
     elites: int = 32
     """Cheapest sequences that the next plan is made of."""
-    sigma: tuple[float, ...] = (0.3, 0.3, 0.3, 0.0, 0.0, 0.3, 0.7)
-    """Noise's standard deviation in action units, for each action dimension or one for all."""
-    correlation: tuple[float, ...] = (0.7, 0.7, 0.7, 0.7, 0.7, 0.7, 0.97)
-    """Correlation of the noise from one step to the next, for each dimension or one for all; 0 is white. A gripper's is
-    high: one step's opening drops what is held, which would hide all other differences between the samples."""
-    finest: tuple[float, ...] = (0.2, 0.2, 0.2, 1.0, 1.0, 0.2, 1.0)
-    """The samples' noise is scaled from 1 down to this, for each dimension or one for all, so that some search wide and
-    some refine; a gripper's is not, since only wide noise shuts it."""
-    stops: int = 10
-    """Samples that follow the last plan for 0, 1, 2, ... steps and then stand still, the gripper as it was: noise finds
-    no such sequence, and a task may ask for one at its end. At most the horizon and a quarter of the samples."""
-    bound: tuple[float, ...] = (1.0,)
-    """Largest size of an action, for each dimension or one for all; at most 1."""
+    noise: ActionNoise = field(default_factory=ActionNoise)
+    """Noise of each kind of channel that an action may have."""
+    stop_samples: int = 10
+    """Samples that follow the last plan for 0, 1, 2, ... steps and then stand still, grippers and fingers as they were:
+    noise finds no such sequence, and a task may ask for one at its end. At most the horizon and a quarter of the
+    samples."""
+    single_arm_share: float = 0.5
+    """Share of the samples that perturb one arm alone, each arm in turn, where a robot has several."""
     iterations: int = 1
     """Rounds of sampling around the improved mean."""
+
+    def __post_init__(self) -> None:
+        """Check each value."""
+        self.check()
 
     def resize(self, samples: int) -> Self:
         """The same settings with so many samples, and elites in proportion."""
         return replace(self, samples=samples, elites=max(1, round(self.elites * samples / self.samples)))
 
-    def check(self, action_size: int) -> None:
-        """Refuse what cannot be, for actions of ``action_size`` dimensions.
+    def check(self) -> None:
+        """Refuse what cannot be.
 
         Raises:
             PwmGymError: naming the setting and what was expected.
         """
-        for name in ("sigma", "finest", "correlation", "bound"):
-            count = len(getattr(self, name))
-            if count not in (1, action_size):
-                raise PwmGymError(f"{name} has {count} values; expected 1 or {action_size}")
         for name in ("horizon", "iterations"):
             if getattr(self, name) < 1:
                 raise PwmGymError(f"{name}={getattr(self, name)}; expected at least 1")
-        if not all(0.0 < b <= 1.0 for b in self.bound):
-            raise PwmGymError(f"bound={self.bound}; expected more than 0 and at most 1")
-        if self.stops < 0:
-            raise PwmGymError(f"stops={self.stops}; expected 0 or more")
+        if self.stop_samples < 0:
+            raise PwmGymError(f"stop_samples={self.stop_samples}; expected 0 or more")
+        if not 0.0 <= self.single_arm_share <= 1.0:
+            raise PwmGymError(f"single_arm_share={self.single_arm_share}; expected 0 to 1")
         if not 1 <= self.elites <= self.samples:
             raise PwmGymError(f"elites={self.elites}; expected 1 to samples={self.samples}")
 
@@ -93,39 +94,61 @@ class SamplingPlanner(ABC, Generic[Config]):
 
     Args:
         config: settings.
-        action_size: A.
+        control: meaning of an action's components.
         device: where the plans live.
 
     Raises:
-        PwmGymError: a setting that cannot be.
+        PwmGymError: a setting that cannot be, or one that does not fit the control.
     """
 
-    def __init__(self, config: Config, action_size: int, device: torch.device | str = "cpu") -> None:
-        config.check(action_size)
-        self.config, self.action_size = config, action_size
-        scale = torch.linspace(0.0, 1.0, config.samples, device=device).unsqueeze(-1)  # of each sample's noise
-        finest = torch.tensor(config.finest, device=device)
-        self._sigma = torch.tensor(config.sigma, device=device).expand(action_size)
-        self._fan = (1.0 - scale * (1.0 - finest)).unsqueeze(1)  # (S, 1, A or 1)
-        self._stops = min(config.stops, config.horizon, config.samples // 4)
-        self._bound = torch.tensor(config.bound, device=device)
-        self._keep = torch.tensor(config.correlation, device=device)
-        self._fresh = (1.0 - self._keep.square()).sqrt()
+    def __init__(self, config: Config, control: Control, device: torch.device | str = "cpu") -> None:
+        self.config, self.action_size = config, control.size
+        noise = config.noise.resolve(control)
+
+        def tensor(values: tuple[float, ...]) -> Tensor:
+            return torch.tensor(values, dtype=torch.float32, device=device)
+
+        self._sigma, self._bound = tensor(noise.sigma), tensor(noise.bound)
+        self._correlation = tensor(noise.correlation)
+        self._fresh = (1.0 - self._correlation.square()).sqrt()
+        self._scale = self._noise_scale(control, tensor(noise.min_noise_scale))
+        self._stop_samples = min(config.stop_samples, config.horizon, config.samples // 4)
+        # What standing still means: absolute targets and hands stay as they are, all else returns to its rest value.
+        absolute = [c.rest is None for c in control.channels for _ in range(c.start, c.stop)]
+        hands = [kind in ("gripper", "finger") for kind in control.kinds]
+        self._rest = tensor(control.rest()).clamp(-self._bound, self._bound)
+        self._absolute = torch.tensor(absolute, device=device)
+        self._holds = self._absolute | torch.tensor(hands, device=device)
         self._mean: Tensor | None = None  # (B, H, A)
+        self._last: Tensor | None = None  # (B, A), the action that led to the present state
+
+    def _noise_scale(self, control: Control, least: Tensor) -> Tensor:
+        """Factors (S, 1, A) of the samples' noise, from 1 down to ``least`` (A,); 0 for an arm that is to stay."""
+        samples = self.config.samples
+        place = torch.linspace(0.0, 1.0, samples, device=least.device).unsqueeze(-1)
+        scale = 1.0 - place * (1.0 - least)
+        moves = arm_mask(control, samples, self.config.single_arm_share)
+        if moves is not None:
+            scale = scale * moves.to(scale)
+        return scale.unsqueeze(1)
 
     def reset(self) -> None:
         """Forget the last plan."""
-        self._mean = None
+        self._mean = self._last = None
 
     @torch.no_grad()
-    def plan(self, objective: Objective, generator: torch.Generator, batch: int = 1) -> Tensor:
+    def plan(
+        self, objective: Objective, generator: torch.Generator, batch: int = 1, last_action: Tensor | None = None
+    ) -> Tensor:
         """Improved action sequences (B, H, A), started from the last plan shifted by one step.
 
         Args:
             objective: costs (B, S) of action sequences (B, S, H, A).
             generator: source of the noise.
             batch: B, environments planned for at once.
+            last_action: actions (B, A) that led to the present state, where they are known.
         """
+        self._last = None if last_action is None else last_action.clamp(-self._bound, self._bound)
         self._mean = self._improve(self._warm_start(batch), objective, generator)
         return self._mean
 
@@ -134,11 +157,12 @@ class SamplingPlanner(ABC, Generic[Config]):
         """The next plan (B, H, A), sought around ``mean`` (B, H, A)."""
 
     def _warm_start(self, batch: int) -> Tensor:
-        """The last plan one step on, its last action repeated; a resting arm with an open gripper at first."""
+        """The last plan one step on, its last action repeated; at first the robot stands still."""
         if self._mean is None or len(self._mean) != batch:
-            rest = torch.zeros(batch, self.config.horizon, self.action_size, device=self._sigma.device)
-            rest[..., -1] = self._bound[-1]
-            return rest
+            still = self._rest.expand(batch, -1)
+            if self._last is not None:
+                still = torch.where(self._holds, self._last, still)
+            return still.unsqueeze(1).repeat(1, self.config.horizon, 1)
         return torch.cat([self._mean[:, 1:], self._mean[:, -1:]], 1)
 
     def _sample(self, mean: Tensor, sigma: Tensor, noise: Tensor) -> Tensor:
@@ -151,14 +175,20 @@ class SamplingPlanner(ABC, Generic[Config]):
         """
         spread = sigma.unsqueeze(-3) if sigma.ndim == 3 else sigma
         count = noise.shape[1]
-        actions = (mean.unsqueeze(1) + spread * self._fan[-count:] * noise).clamp(-self._bound, self._bound)
+        actions = (mean.unsqueeze(1) + spread * self._scale[-count:] * noise).clamp(-self._bound, self._bound)
         actions[:, -1] = mean
-        for step in range(min(self._stops, count // 4)):
+        for step in range(min(self._stop_samples, count // 4)):
             stopping = actions[:, -2 - step]
             stopping[:] = mean
-            stopping[:, step:, :-1] = 0.0
-            stopping[:, step:, -1] = mean[:, max(step - 1, 0), -1:]
+            stopping[:, step:] = self._still(mean, step).unsqueeze(1)
         return actions
+
+    def _still(self, mean: Tensor, step: int) -> Tensor:
+        """Action (B, A) that stands still after ``step`` steps of ``mean`` (B, H, A)."""
+        held = mean[:, max(step - 1, 0)]
+        if step == 0 and self._last is not None:
+            held = torch.where(self._absolute, self._last, held)
+        return torch.where(self._holds, held, self._rest)
 
     def _noise(self, batch: int, generator: torch.Generator) -> Tensor:
         """Standard normal noise (B, S, H, A), correlated from step to step."""
@@ -167,27 +197,5 @@ class SamplingPlanner(ABC, Generic[Config]):
             (batch, c.samples, c.horizon, self.action_size), generator=generator, device=self._sigma.device
         )
         for h in range(1, c.horizon):
-            noise[:, :, h] = self._keep * noise[:, :, h - 1] + self._fresh * noise[:, :, h]
+            noise[:, :, h] = self._correlation * noise[:, :, h - 1] + self._fresh * noise[:, :, h]
         return noise
-
-
-def power_law_noise(shape: tuple[int, ...], exponent: float, generator: torch.Generator) -> Tensor:
-    """Standard normal noise (..., H, A) whose power falls with the frequency along H as ``1 / f ** exponent``.
-
-    Timmer and Koenig's construction (1995), as iCEM samples actions; an exponent of 0 is white.
-    """
-    *front, horizon, size = shape
-    frequencies = torch.fft.rfftfreq(horizon, device=generator.device).clamp_min(1.0 / horizon)
-    scale = frequencies.pow(-0.5 * exponent)
-    parts = torch.randn((*front, size, len(scale), 2), generator=generator, device=generator.device)
-    spectrum = torch.view_as_complex(parts) * scale
-    spectrum[..., 0] = spectrum[..., 0].real * 2**0.5  # the mean and, of an even length, the highest one are real
-    if horizon % 2 == 0:
-        spectrum[..., -1] = spectrum[..., -1].real * 2**0.5
-    pairs = torch.full_like(scale, 2.0)  # every other frequency stands for its negative, too
-    pairs[0] = 1.0
-    if horizon % 2 == 0:
-        pairs[-1] = 1.0
-    total = (pairs * scale.square()).sum()
-    noise = torch.fft.irfft(spectrum, n=horizon, dim=-1) * horizon / (2.0 * total).sqrt()
-    return noise.transpose(-1, -2)

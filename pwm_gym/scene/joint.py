@@ -30,6 +30,11 @@ class Mimic:
     offset: float = 0.0
     """Radians, or metres for a prismatic joint."""
 
+    def __post_init__(self) -> None:
+        """Whole numbers are as good as others."""
+        for name in ("multiplier", "offset"):
+            object.__setattr__(self, name, float(getattr(self, name)))
+
 
 @dataclass(frozen=True)
 class Joint:
@@ -57,7 +62,11 @@ class Joint:
     """The joint that this one follows, if any."""
 
     def __post_init__(self) -> None:
-        """Check what can be checked without the other entities."""
+        """Check what can be checked without the other entities; whole numbers are as good as others."""
+        for name in ("lower", "upper"):
+            object.__setattr__(self, name, float(getattr(self, name)))
+        for name in ("origin", "axis"):
+            object.__setattr__(self, name, tuple(map(float, getattr(self, name))))
         if self.kind not in JOINT_KINDS:
             raise SceneError(f"joint kind {self.kind!r}; expected one of {', '.join(JOINT_KINDS)}")
         if self.kind == "free" and self.parent is not None:

@@ -59,26 +59,36 @@ class Scene:
     assets: tuple[str, ...] = ()
     """Name of each entity's asset (E,), where a task's objects differ between episodes; a simulator starts from it."""
 
-    def validate(self, task: str, layout: Layout, goal_size: int) -> Scene:
+    def validate(self, task: str, layout: Layout, goal_size: int, extra: bool = False) -> Scene:
         """This scene, checked against what ``task`` expects.
+
+        Args:
+            task: the task's name.
+            layout: its entities, and the points that each has at least.
+            goal_size: G.
+            extra: whether further free entities (clutter) may follow the task's.
 
         Raises:
             SceneError: naming the first thing that does not fit.
         """
         if self.task != task:
             raise SceneError(f"the scene is of task {self.task!r}; expected {task!r}")
-        if self.layout.names != layout.names:
+        further = self.layout.entities[len(layout) :] if extra else ()
+        names = (*layout.names, *(e.name for e in further))
+        if self.layout.names != names:
             raise SceneError(f"the scene's entities are {self.layout.names}; expected {layout.names}")
-        counts, wanted = ([e.points for e in x] for x in (self.layout, layout))
-        if self.assets and len(self.assets) != len(layout):
+        if bound := [e.name for e in further if not e.loose]:
+            raise SceneError(f"the scene's further entities {', '.join(bound)} are not free; expected free ones alone")
+        counts, wanted = ([e.points for e in x.entities[: len(layout)]] for x in (self.layout, layout))
+        if self.assets and len(self.assets) != len(names):
             raise SceneError(
-                f"the scene names {len(self.assets)} assets; expected one for each of {len(layout)} entities"
+                f"the scene names {len(self.assets)} assets; expected one for each of {len(names)} entities"
             )
         if any(c < w for c, w in zip(counts, wanted, strict=True)):
             raise SceneError(f"the scene's point counts are {counts}; expected at least {wanted}")
         shapes: dict[str, tuple[int, ...]] = {
             "clouds": (self.layout.points, 3),
-            "poses": (3, len(layout), 7),
+            "poses": (3, len(names), 7),
             "goal": (goal_size,),
         }
         if self.joints is not None:

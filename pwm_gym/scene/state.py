@@ -249,7 +249,11 @@ class EntityPoints(Mapping[str, Tensor]):
             if name not in self._state.layout.names:
                 raise KeyError(f"no entity {name!r}; this scene has {', '.join(self._state.layout.names)}")
             points = self._state.entity(name)
-            self._formed[name] = points - self._state.entity(name, 1) if self._velocity else points
+            if self._velocity:
+                points = points - self._state.entity(name, 1)
+            elif isinstance(self._state, PointState):
+                points = points.clone()  # a reader may change them; a rigid state forms them anew
+            self._formed[name] = points
         return self._formed[name]
 
     def __iter__(self) -> Iterator[str]:

@@ -14,7 +14,7 @@ from pwm_gym.costs import (
     terms,
 )
 from pwm_gym.errors import PwmGymError, UnknownNameError
-from pwm_gym.scene import Layout, RigidState
+from pwm_gym.scene import Layout, PointState, RigidState
 
 LAYOUT = Layout.build([("hand", 8), ("left_gripper", 8), ("right_gripper", 8), ("cube", 8)], ("hand",))
 
@@ -156,3 +156,17 @@ def test_the_papers_listing_runs_unchanged(costs, view):
     reach = 1 - torch.tanh(5 * (points["cube"].mean(1) - tool).norm(dim=-1))
     place = 1 - torch.tanh(5 * (tool - info["goal"]).norm(dim=-1))
     torch.testing.assert_close(get_cost("listing")(points, info), -torch.where(info["grasped"], place, reach))
+
+
+@pytest.mark.parametrize("form", [lambda s: s, PointState.of], ids=["rigid", "points"])
+def test_what_a_cost_writes_into_is_its_own(form):
+    clouds, frames = 0.05 * torch.randn(3, LAYOUT.points, 3), torch.eye(4).repeat(3, 3, 4, 1, 1)
+    state = form(RigidState(LAYOUT, clouds, frames, torch.rand(3, 2, 9)))
+    goal, action = torch.rand(3, 3), torch.rand(3, 7)
+    before = [t.clone() for t in (*state.tensors, goal, action)]
+    points, info = cost_info(state, action, goal, get_grasp("pick_cube"))
+    written = [info["goal"], info["action"], info["extra"]["goal_pos"], points["cube"], info["velocity"]["cube"]]
+    for value in [*written, *([] if info["joints"] is None else [info["joints"]])]:
+        value.fill_(7.0)
+    for now, then in zip((*state.tensors, goal, action), before, strict=True):
+        assert torch.equal(now, then)

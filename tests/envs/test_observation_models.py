@@ -1,20 +1,27 @@
+from dataclasses import replace
+
 import gymnasium as gym
 import numpy as np
 import pytest
+import trimesh
+from gymnasium.envs.registration import EnvSpec
 
+from pwm_gym.cameras.viewpoints import VIEWPOINTS
 from pwm_gym.completion import HullCompleter
-from pwm_gym.envs import Sensing
-from pwm_gym.errors import UnknownNameError
+from pwm_gym.envs import CameraConfig, SimEnv
+from pwm_gym.envs.camera_models import depth_camera
+from pwm_gym.errors import PwmGymError, UnknownNameError
 from pwm_gym.evaluation import chamfer
 from pwm_gym.planning import Agent, MPPIConfig, Run, execute
-from pwm_gym.scene import batch_state
+from pwm_gym.scene import Layout, batch_state
+from pwm_gym.tasks import TASKS, get_task
 
 SIM = "pwm/PickCubeSim-v0"
 
 
 @pytest.fixture(scope="module")
 def completed():
-    env = gym.make(SIM, observation="completed", sensing=Sensing(completer="hull", sensor="d455"))
+    env = gym.make(SIM, observation="completed", camera=CameraConfig(completer="hull", sensor="d455"))
     yield env
     env.close()
 
@@ -78,7 +85,7 @@ def test_an_agent_plans_from_what_is_shown_and_the_record_holds_the_truth(comple
 
 def test_an_unknown_checkpoint_of_completion_is_named():
     with pytest.raises(UnknownNameError, match="unknown checkpoint of completion 'nothing'"):
-        gym.make(SIM, observation="completed", sensing=Sensing(completer="nothing"))
+        gym.make(SIM, observation="completed", camera=CameraConfig(completer="nothing"))
 
 
 def test_a_completer_of_ones_own():
@@ -89,8 +96,103 @@ def test_a_completer_of_ones_own():
             calls.append(points)
             return super().__call__(partial, eye, points)
 
-    env = gym.make(SIM, observation="completed", points=400, sensing=Sensing(completer=Mine()))
+    env = gym.make(SIM, observation="completed", points=400, camera=CameraConfig(completer=Mine()))
     env.reset(seed=300_000)
     env.step(np.zeros(7, np.float32))
     env.close()
     assert calls == [100]  # once an episode
+
+
+OVERHEAD = {"eye": [0.6, 0.0, 1.0], "target": [0.6, 0.0, 0.0], "fov": 60.0, "width": 96, "height": 96}
+
+
+@pytest.mark.parametrize(
+    "camera",
+    [CameraConfig("left", sensor="d455"), CameraConfig(OVERHEAD), {"viewpoint": "front"}, "left", None],
+    ids=["named", "numbers", "dict", "viewpoint", "default"],
+)
+def test_camera_settings_survive_a_specs_json(camera):
+    env = gym.make(SIM, observation="partial", camera=camera)
+    again = gym.make(EnvSpec.from_json(env.spec.to_json()))
+    first, second = (e.reset(seed=300_000)[0]["points"] for e in (env, again))
+    np.testing.assert_array_equal(first, second)
+    env.close()
+    again.close()
+
+
+def test_viewpoints_show_different_points(partial):
+    left = gym.make(SIM, observation="partial", camera="left")
+    first, second = (e.reset(seed=300_000)[0]["points"] for e in (partial, left))
+    assert not np.array_equal(first, second)
+    left.close()
+
+
+def test_a_viewpoint_is_a_name_numbers_or_a_camera():
+    own = VIEWPOINTS["front"].resize(3)
+    assert depth_camera(own, 2) is own
+    assert depth_camera("front", 2).width == 2 * VIEWPOINTS["front"].width
+    assert depth_camera(OVERHEAD, 2).width == 96
+
+
+@pytest.mark.parametrize(
+    ("camera", "message"),
+    [
+        ("lift", "unknown viewpoint 'lift'.*Did you mean 'left'"),
+        ({"viewpont": "left"}, "unknown camera setting 'viewpont'.*Did you mean 'viewpoint'"),
+        ({"viewpoint": {"eye": (0, 0, 1), "goal": (0, 0, 0)}}, "unexpected keyword argument 'goal'"),
+        (5, "camera is a int; expected a CameraConfig"),
+        ({"sensor": "d456"}, "unknown sensor.*'d456'"),
+    ],
+)
+def test_a_camera_that_cannot_be_is_named(camera, message):
+    with pytest.raises(PwmGymError, match=message):
+        gym.make(SIM, observation="completed", camera=camera)
+
+
+class TwoObjects:
+    """PickCube's simulator at rest, with a second object beside the cube whose asset the seed decides."""
+
+    def __init__(self, simulator):
+        self._simulator = simulator
+        self.reset(0)
+
+    def __getattr__(self, name):
+        return getattr(self._simulator, name)
+
+    def reset(self, seed):
+        self._simulator.reset(300_000)
+        self._large = seed % 2 == 0
+
+    def assets(self):
+        return (*self._simulator.assets(), "large" if self._large else "small")
+
+    def meshes(self):
+        side = 0.06 if self._large else 0.03
+        return {**self._simulator.meshes(), "other": trimesh.creation.box([side] * 3)}
+
+    def poses(self):
+        poses = self._simulator.poses()
+        beside = poses[3] + np.array([0.05, 0.15, 0.01, 0, 0, 0, 0])
+        return np.concatenate([poses, beside[None]])
+
+    def close(self):
+        pass
+
+
+def test_several_objects_are_completed_and_their_assets_may_change(simulator, monkeypatch):
+    pick = get_task("PickCube")
+    layout = pick.layout.plus(Layout.build([("other", 300)]).entities)
+    task = replace(pick, name="TwoObjects", layout=layout, simulator=lambda: TwoObjects(simulator))
+    monkeypatch.setitem(TASKS, "TwoObjects", task)
+    env = SimEnv("TwoObjects", observation="completed", camera={"completer": "hull"})
+    sizes = []
+    for seed in (0, 1):
+        observation, info = env.reset(seed=seed)
+        assert observation in env.observation_space and set(info["completion_error"]) == {"cube", "other"}
+        shown, true = (batch_state([env.scene(truth=t)]) for t in (False, True))
+        for name in ("cube", "other"):
+            assert (shown.entity(name).mean(-2) - true.entity(name).mean(-2)).norm() < 0.02
+        sizes.append(float(np.ptp(shown.entity("other")[0].numpy(), axis=0)[2]))
+        assert env.scene().assets == env.scene(truth=True).assets
+        env.step(np.zeros(7, np.float32))
+    assert sizes == pytest.approx([0.06, 0.03], abs=0.015)

@@ -11,7 +11,7 @@ from PIL import Image
 from pwm_gym.commands.evaluate import _draw_failures
 from pwm_gym.data.partial import PARTIAL_POINTS, PartialView
 from pwm_gym.dynamics import rollout
-from pwm_gym.envs import Sensing
+from pwm_gym.envs import CameraConfig
 from pwm_gym.errors import UnknownNameError
 from pwm_gym.experiments import TABLES
 from pwm_gym.experiments import members as table
@@ -89,7 +89,7 @@ def test_what_the_environment_shows_is_what_is_planned_from(data_folder, tmp_pat
 
     monkeypatch.setattr(table.gym, "make", make)
     monkeypatch.setattr(table, "_digest", lambda folder: "weights")
-    monkeypatch.setattr("pwm_gym.envs.Sensing", lambda sensor: Sensing(sensor=sensor, completer="hull"))
+    monkeypatch.setattr("pwm_gym.envs.CameraConfig", lambda sensor: CameraConfig(sensor=sensor, completer="hull"))
     member = replace(BASELINE, partial=False, observation="completed", sensor="d455")
     chosen = PlanningTable("completed", (member,), modes=("closed loop",))
     run_planning_table(chosen, data_folder, tmp_path)

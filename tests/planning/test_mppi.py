@@ -1,14 +1,28 @@
-from dataclasses import asdict, replace
+from dataclasses import replace
 
 import pytest
 import torch
 
 from pwm_gym.errors import PwmGymError
-from pwm_gym.planning import MPPI, MPPIConfig
+from pwm_gym.planning import MPPI, ActionNoise, MPPIConfig, NoiseConfig
+from pwm_gym.robots import Channel, Control
+from pwm_gym.tasks import get_task
 
-SMALL = MPPIConfig(
-    samples=128, horizon=8, elites=16, temperature=0.1, sigma=(0.4,), finest=(0.2,), correlation=(0.5,), stops=0
-)
+
+def noise(sigma=0.4, correlation=0.5, least=0.2, gripper=None):
+    """The same noise for every channel, but for the gripper's sigma where it is given."""
+    every = ActionNoise.uniform(NoiseConfig((sigma,), correlation, least))
+    return every if gripper is None else replace(every, gripper=NoiseConfig((gripper,), correlation, least))
+
+
+def control(joints):
+    """So many joints and a gripper."""
+    front = (Channel("joint", 0, joints),) if joints else ()
+    return Control((*front, Channel("gripper", joints, joints + 1, rest=1.0)))
+
+
+SMALL = MPPIConfig(samples=128, horizon=8, elites=16, temperature=0.1, noise=noise(), stop_samples=0)
+TWO = control(1)
 TARGET = torch.tensor([0.4, -0.3])
 
 
@@ -28,9 +42,9 @@ def generator(seed=0):
 
 def execute(config, steps, start=(0.0, 0.0)):
     """Closed loop; the places that the point comes to."""
-    planner, noise, place, places = MPPI(config, 2), generator(), torch.tensor(start), []
+    planner, source, place, places = MPPI(config, TWO), generator(), torch.tensor(start), []
     for _ in range(steps):
-        action = planner.plan(point_mass(place.tolist()), noise)[0, 0]
+        action = planner.plan(point_mass(place.tolist()), source)[0, 0]
         place = place + 0.1 * action
         places.append(place)
     return torch.stack(places)
@@ -48,18 +62,19 @@ def test_the_papers_settings_reach_it_roughly():
 
 
 def test_the_papers_table():
-    paper = asdict(MPPIConfig.paper(horizon=20))
-    expected = {"samples": 200, "elites": 64, "temperature": 0.7, "sigma": (5.0,), "horizon": 20, "iterations": 1}
-    assert {k: paper[k] for k in expected} == expected
-    assert not paper["relative"] and paper["correlation"] == (0.0,) and paper["finest"] == (1.0,)
-    assert paper["stops"] == 0
+    paper = MPPIConfig.paper(horizon=20)
+    assert (paper.samples, paper.elites, paper.temperature) == (200, 64, 0.7)
+    assert (paper.horizon, paper.iterations, paper.stop_samples) == (20, 1, 0)
+    assert not paper.relative and paper.single_arm_share == 0.0
+    white = paper.noise.resolve(get_task("PickCube").control)
+    assert white.sigma == (5.0,) * 7 and white.correlation == (0.0,) * 7 and white.min_noise_scale == (1.0,) * 7
     assert MPPIConfig.paper().horizon == 10
 
 
 def test_iterations_improve_a_plan():
     objective = point_mass()
     costs = [
-        objective(MPPI(replace(SMALL, iterations=n), 2).plan(objective, generator()).unsqueeze(1)).item()
+        objective(MPPI(replace(SMALL, iterations=n), TWO).plan(objective, generator()).unsqueeze(1)).item()
         for n in (1, 8)
     ]
     best = 0.5 + 0.4 + 0.3  # straight there at 0.1 an axis and step, hence 4 steps
@@ -68,13 +83,13 @@ def test_iterations_improve_a_plan():
 
 
 def test_the_seed_decides_the_plan():
-    plans = [MPPI(SMALL, 2).plan(point_mass(), generator(seed)) for seed in (0, 0, 1)]
+    plans = [MPPI(SMALL, TWO).plan(point_mass(), generator(seed)) for seed in (0, 0, 1)]
     assert torch.equal(plans[0], plans[1])
     assert not torch.equal(plans[0], plans[2])
 
 
 def test_the_plan_is_warm_started_from_the_last_one_shifted():
-    planner = MPPI(SMALL, 2)
+    planner = MPPI(SMALL, TWO)
     plan = planner.plan(point_mass(), generator())
     seen = []
     planner.plan(lambda a: (seen.append(a), point_mass()(a))[1], generator(1))
@@ -87,10 +102,10 @@ def test_the_plan_is_warm_started_from_the_last_one_shifted():
     torch.testing.assert_close(seen[1][:, -1], rest)
 
 
-@pytest.mark.parametrize("config", [SMALL, MPPIConfig.paper(), replace(SMALL, sigma=(50.0, 0.0))])
+@pytest.mark.parametrize("config", [SMALL, MPPIConfig.paper(), replace(SMALL, noise=noise(50.0, gripper=0.0))])
 def test_samples_and_plans_are_actions(config):
     seen = []
-    plan = MPPI(config, 2).plan(lambda a: (seen.append(a), point_mass()(a))[1], generator())
+    plan = MPPI(config, TWO).plan(lambda a: (seen.append(a), point_mass()(a))[1], generator())
     assert seen[0].shape == (1, config.samples, config.horizon, 2)
     assert plan.shape == (1, config.horizon, 2)
     assert seen[0].abs().max() <= 1 and plan.abs().max() <= 1
@@ -98,26 +113,26 @@ def test_samples_and_plans_are_actions(config):
 
 def test_a_dimension_without_noise_keeps_its_mean():
     seen = []
-    config = replace(SMALL, sigma=(0.5, 0.0))
-    MPPI(config, 2).plan(lambda a: (seen.append(a), point_mass()(a))[1], generator())
+    config = replace(SMALL, noise=noise(0.5, gripper=0.0))
+    MPPI(config, TWO).plan(lambda a: (seen.append(a), point_mass()(a))[1], generator())
     assert (seen[0][..., 1] == 1.0).all() and seen[0][..., 0].std() > 0.1
 
 
 def test_noise_has_the_correlation_and_the_scales_it_is_given():
     seen = []
-    config = MPPIConfig(samples=4000, horizon=6, elites=16, sigma=(0.1,), finest=(0.1,), correlation=(0.8,))
-    MPPI(config, 1).plan(lambda a: (seen.append(a), a.sum((-1, -2)))[1], generator())
-    noise = seen[0][0, :, :, 0] - 1.0  # around the open gripper; clipped above
+    config = MPPIConfig(samples=4000, horizon=6, elites=16, noise=noise(0.1, 0.8, 0.1))
+    MPPI(config, control(0)).plan(lambda a: (seen.append(a), a.sum((-1, -2)))[1], generator())
+    drawn = seen[0][0, :, :, 0] - 1.0  # around the open gripper; clipped above
     inside = seen[0][0, :-1, :, 0] < 1.0
     assert 0.4 < inside.float().mean() < 0.6
-    wide, fine = noise[:1000].abs().mean(), noise[-1000:].abs().mean()
+    wide, fine = drawn[:1000].abs().mean(), drawn[-1000:].abs().mean()
     assert fine < 0.4 * wide
 
 
 def test_correlation_of_steps():
     seen = []
-    config = MPPIConfig(samples=4000, horizon=3, elites=16, sigma=(0.1, 0.1), finest=(1.0,), correlation=(0.8,))
-    MPPI(config, 2).plan(lambda a: (seen.append(a), a.sum((-1, -2)))[1], generator())
+    config = MPPIConfig(samples=4000, horizon=3, elites=16, noise=noise(0.1, 0.8, 1.0))
+    MPPI(config, TWO).plan(lambda a: (seen.append(a), a.sum((-1, -2)))[1], generator())
     steps = seen[0][0, :-1, :, 0]
     assert steps.std(0) == pytest.approx([0.1] * 3, rel=0.05)
     assert torch.corrcoef(steps.T)[0, 1].item() == pytest.approx(0.8, abs=0.03)
@@ -126,7 +141,9 @@ def test_correlation_of_steps():
 
 def test_some_samples_stop_after_each_number_of_steps():
     seen = []
-    planner = MPPI(replace(SMALL, sigma=(0.4, 0.4, 0.7), finest=(0.5,), stops=3, samples=16, elites=4), 3)
+    planner = MPPI(
+        replace(SMALL, noise=noise(least=0.5, gripper=0.7), stop_samples=3, samples=16, elites=4), control(2)
+    )
     planner.plan(point_mass(), generator())
     planner.plan(lambda a: (seen.append(a), point_mass()(a))[1], generator(1))
     *_, third, second, first, mean = seen[0][0]
@@ -138,9 +155,9 @@ def test_some_samples_stop_after_each_number_of_steps():
     assert (seen[0][0, :-4, :, :2] != 0).any(-1).all()
 
 
-@pytest.mark.parametrize(("stops", "moving"), [(8, 0), (0, 8)])
-def test_stops_find_rest_where_every_motion_costs_the_same(stops, moving):
-    planner = MPPI(replace(SMALL, stops=stops, temperature=1e-3), 2)
+@pytest.mark.parametrize(("stop_samples", "moving"), [(8, 0), (0, 8)])
+def test_stop_samples_find_rest_where_every_motion_costs_the_same(stop_samples, moving):
+    planner = MPPI(replace(SMALL, stop_samples=stop_samples, temperature=1e-3), TWO)
     planner.plan(point_mass(), generator())
     plan = planner.plan(lambda a: (a[..., :1] != 0).float().sum((-1, -2)), generator(1))
     assert (plan[0, :, 0] != 0).sum() == moving
@@ -153,7 +170,7 @@ def test_one_elite_is_the_cheapest_sample():
         seen.append(actions)
         return point_mass()(actions)
 
-    plan = MPPI(replace(SMALL, elites=1), 2).plan(objective, generator())
+    plan = MPPI(replace(SMALL, elites=1), TWO).plan(objective, generator())
     best = point_mass()(seen[0])[0].argmin()
     torch.testing.assert_close(plan[0], seen[0][0, best])
 
@@ -167,7 +184,7 @@ def test_a_low_temperature_takes_the_best_elite_and_a_high_one_their_mean(relati
         return point_mass()(actions)
 
     plans = [
-        MPPI(replace(SMALL, temperature=t, relative=relative), 2).plan(objective, generator()) for t in (1e-4, 1e4)
+        MPPI(replace(SMALL, temperature=t, relative=relative), TWO).plan(objective, generator()) for t in (1e-4, 1e4)
     ]
     order = point_mass()(seen[0])[0].argsort()[:16]
     torch.testing.assert_close(plans[0][0], seen[0][0, order[0]], atol=1e-3, rtol=0)
@@ -180,20 +197,20 @@ def test_a_batch_of_environments_is_planned_at_once():
         torch.tensor([[0.4, -0.3], [0, 0], [0.3, 0.3]]),
     )
 
-    def objective(actions):  # (B, S, H, 2)
+    def objective(actions):  # (B, S, H, TWO)
         place = starts[:, None, None] + 0.1 * actions.cumsum(-2)
         return (place - targets[:, None, None]).norm(dim=-1).sum(-1)
 
     config = replace(SMALL, iterations=8)
-    together = objective(MPPI(config, 2).plan(objective, generator(), batch=3).unsqueeze(1))[:, 0]
+    together = objective(MPPI(config, TWO).plan(objective, generator(), batch=3).unsqueeze(1))[:, 0]
     for b in range(3):
         single = point_mass(starts[b].tolist(), targets[b])
-        alone = single(MPPI(config, 2).plan(single, generator(b)).unsqueeze(1)).item()
+        alone = single(MPPI(config, TWO).plan(single, generator(b)).unsqueeze(1)).item()
         assert together[b].item() == pytest.approx(alone, rel=0.2)
 
 
 def test_another_batch_size_forgets_the_last_plan():
-    planner = MPPI(SMALL, 2)
+    planner = MPPI(SMALL, TWO)
     planner.plan(point_mass(), generator(), batch=1)
     assert planner.plan(point_mass(), generator(), batch=2).shape == (2, 8, 2)
 
@@ -204,14 +221,12 @@ def test_another_batch_size_forgets_the_last_plan():
         ({"horizon": 0}, "horizon=0; expected at least 1"),
         ({"iterations": 0}, "iterations=0; expected at least 1"),
         ({"temperature": 0.0}, "temperature=0.0; expected more than 0"),
-        ({"sigma": (0.1, 0.2, 0.3)}, "sigma has 3 values; expected 1 or 2"),
-        ({"finest": ()}, "finest has 0 values; expected 1 or 2"),
-        ({"correlation": (0.1, 0.2, 0.3)}, "correlation has 3 values; expected 1 or 2"),
         ({"elites": 129}, "elites=129; expected 1 to samples=128"),
-        ({"stops": -1}, "stops=-1; expected 0 or more"),
+        ({"stop_samples": -1}, "stop_samples=-1; expected 0 or more"),
+        ({"single_arm_share": 1.5}, "single_arm_share=1.5; expected 0 to 1"),
         ({"elites": 0}, "elites=0; expected 1 to samples=128"),
     ],
 )
 def test_settings_that_cannot_be_are_refused(changes, message):
     with pytest.raises(PwmGymError, match=message):
-        MPPI(replace(SMALL, **changes), 2)
+        replace(SMALL, **changes)

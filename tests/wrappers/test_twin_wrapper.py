@@ -6,7 +6,9 @@ import gymnasium as gym
 import numpy as np
 import pytest
 import torch
+from gymnasium.envs.registration import EnvSpec
 
+from pwm_gym.envs import CameraConfig
 from pwm_gym.errors import PwmGymError
 from pwm_gym.scene import RigidState
 from pwm_gym.wrappers import Twin, divergence
@@ -100,3 +102,22 @@ def test_wrong_twins(env, sim):
         Twin(sim, env)
     with pytest.raises(PwmGymError, match="twins differ: PickCube with 600 points, PickCube with 1200"):
         Twin(gym.make("pwm/PickCube-v0", points=600), sim)
+
+
+@pytest.mark.parametrize("form", [lambda spec: spec, lambda spec: EnvSpec.from_json(spec.to_json())], ids=["", "json"])
+def test_its_spec_makes_it_again(form):
+    camera = CameraConfig(viewpoint="left", completer="hull")
+    sim = gym.make("pwm/PickCubeSim-v0", observation="completed", points=600, camera=camera)
+    twin = Twin(gym.make("pwm/PickCube-v0", points=600), sim)
+    again = gym.make(form(twin.spec))
+    assert isinstance(again, Twin)
+    first, second = (t.reset(seed=300_000)[0]["points"] for t in (twin, again))
+    np.testing.assert_array_equal(first, second)
+    twin.close()
+    again.close()
+
+
+def test_a_twin_by_its_id(env):
+    twin = Twin(env, "pwm/PickCubeSim-v0")
+    assert twin.reset(seed=1)[1]["divergence"]["chamfer_l1"] < 1e-5
+    twin.twin.close()

@@ -1,0 +1,144 @@
+"""Noise of action sequences: settings per kind of channel, resolved to the components of a robot's actions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import torch
+from torch import Tensor
+
+from pwm_gym.errors import PwmGymError
+from pwm_gym.robots import Channel, Control
+
+__all__ = ["ActionNoise", "ComponentNoise", "NoiseConfig", "power_law_noise"]
+
+_GOLDEN = 0.6180339887498949  # multiples of it, modulo 1, are spread evenly however many there are
+
+
+@dataclass(frozen=True)
+class NoiseConfig:
+    """Noise of the components of one kind of channel.
+
+    Raises:
+        PwmGymError: a setting that cannot be.
+    """
+
+    sigma: tuple[float, ...] = (0.3,)
+    """Standard deviation in action units: one for all components of a channel, or one for each. Components without
+    noise keep their mean."""
+    correlation: float = 0.7
+    """Correlation from one step to the next; 0 is white."""
+    min_noise_scale: float = 0.2
+    """The samples' noise is scaled from 1 down to this, so that some search wide and some refine."""
+    bound: float = 1.0
+    """Largest size of a component; at most 1."""
+
+    def __post_init__(self) -> None:
+        """Check each value."""
+        if not self.sigma or not all(s >= 0.0 for s in self.sigma):
+            raise PwmGymError(f"sigma={self.sigma}; expected values of at least 0")
+        for name in ("correlation", "min_noise_scale"):
+            if not 0.0 <= getattr(self, name) <= 1.0:
+                raise PwmGymError(f"{name}={getattr(self, name)}; expected 0 to 1")
+        if not 0.0 < self.bound <= 1.0:
+            raise PwmGymError(f"bound={self.bound}; expected more than 0 and at most 1")
+
+    def sigmas(self, channel: Channel) -> tuple[float, ...]:
+        """Standard deviation of each of a channel's components.
+
+        Raises:
+            PwmGymError: the channel has another number of components.
+        """
+        count = channel.stop - channel.start
+        if len(self.sigma) not in (1, count):
+            raise PwmGymError(f"{channel.kind} sigma has {len(self.sigma)} values; expected 1 or {count}")
+        return self.sigma * count if len(self.sigma) == 1 else self.sigma
+
+
+@dataclass(frozen=True)
+class ActionNoise:
+    """Noise of each kind of channel; the defaults of arms and grippers are tuned on PickCube's validation seeds."""
+
+    translation: NoiseConfig = NoiseConfig()
+    rotation: NoiseConfig = NoiseConfig(sigma=(0.0, 0.0, 0.3))
+    """About the base's x, y and z: on a table a tool that points down has to turn about z alone."""
+    gripper: NoiseConfig = NoiseConfig(sigma=(0.7,), correlation=0.97, min_noise_scale=1.0)
+    """Its correlation is high: one step's opening drops what is held, which would hide all other differences between
+    the samples. Only wide noise shuts it."""
+    finger: NoiseConfig = NoiseConfig(correlation=0.95, min_noise_scale=0.5)
+    """Fingers close together and slowly, as a gripper does, by targets that are finer than open and shut."""
+    joint: NoiseConfig = NoiseConfig()
+
+    @classmethod
+    def uniform(cls, noise: NoiseConfig) -> ActionNoise:
+        """The same noise for every kind of channel."""
+        return cls(**{f.name: noise for f in fields(cls)})
+
+    def resolve(self, control: Control) -> ComponentNoise:
+        """Values of each component of an action.
+
+        Raises:
+            PwmGymError: a channel has no component, or other ones than the settings say.
+        """
+        if not control.size:
+            raise PwmGymError("the control has no channels; expected at least one to plan with")
+        kinds = [(c, getattr(self, c.kind)) for c in control.channels]
+        spread = {name: [] for name in ("correlation", "min_noise_scale", "bound")}  # type: dict[str, list[float]]
+        for channel, noise in kinds:
+            for name, values in spread.items():
+                values += [getattr(noise, name)] * (channel.stop - channel.start)
+        return ComponentNoise(
+            sigma=tuple(s for channel, noise in kinds for s in noise.sigmas(channel)),
+            **{name: tuple(values) for name, values in spread.items()},
+        )
+
+
+@dataclass(frozen=True)
+class ComponentNoise:
+    """Noise of each component (A,) of an action."""
+
+    sigma: tuple[float, ...]
+    correlation: tuple[float, ...]
+    min_noise_scale: tuple[float, ...]
+    bound: tuple[float, ...]
+
+
+def arm_mask(control: Control, samples: int, single_arm_share: float) -> Tensor | None:
+    """Which components (S, A) each sample perturbs: those of one arm, in turn, or all; None with less than two arms.
+
+    Args:
+        control: says which arm each component belongs to; components of no arm are always perturbed.
+        samples: S.
+        single_arm_share: share of the samples in which one arm moves and the others follow the last plan.
+    """
+    names = control.arm_names
+    if len(names) < 2:
+        return None
+    owner = [names.index(c.arm) if c.arm else -1 for c in control.channels for _ in range(c.start, c.stop)]
+    place = torch.arange(samples, dtype=torch.float64) * _GOLDEN % 1.0  # wide and fine samples have their share each
+    single = place < single_arm_share
+    arm = (place / max(single_arm_share, 1e-9) * len(names)).long().clamp(max=len(names) - 1)  # (S,)
+    owners = torch.tensor(owner)
+    return ~single[:, None] | (owners == arm[:, None]) | (owners < 0)
+
+
+def power_law_noise(shape: tuple[int, ...], beta: float, generator: torch.Generator) -> Tensor:
+    """Standard normal noise (..., H, A) whose power falls with the frequency along H as ``1 / f ** beta``.
+
+    Timmer and Koenig's construction (1995), as iCEM samples actions; a beta of 0 is white.
+    """
+    *front, horizon, size = shape
+    frequencies = torch.fft.rfftfreq(horizon, device=generator.device).clamp_min(1.0 / horizon)
+    scale = frequencies.pow(-0.5 * beta)
+    parts = torch.randn((*front, size, len(scale), 2), generator=generator, device=generator.device)
+    spectrum = torch.view_as_complex(parts) * scale
+    spectrum[..., 0] = spectrum[..., 0].real * 2**0.5  # the mean and, of an even length, the highest one are real
+    if horizon % 2 == 0:
+        spectrum[..., -1] = spectrum[..., -1].real * 2**0.5
+    pairs = torch.full_like(scale, 2.0)  # every other frequency stands for its negative, too
+    pairs[0] = 1.0
+    if horizon % 2 == 0:
+        pairs[-1] = 1.0
+    total = (pairs * scale.square()).sum()
+    noise = torch.fft.irfft(spectrum, n=horizon, dim=-1) * horizon / (2.0 * total).sqrt()
+    return noise.transpose(-1, -2)
