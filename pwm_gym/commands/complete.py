@@ -55,7 +55,7 @@ class Complete:
         """Do what is asked for, one after the other."""
         from pwm_gym.completion import LearnedCompleter, fit_completion, load_completion
         from pwm_gym.errors import PwmGymError
-        from pwm_gym.learning import leads
+        from pwm_gym.learning import is_main_process
         from pwm_gym.process import prepare_process
 
         if not (self.train or self.evaluate or self.mesh):
@@ -65,7 +65,7 @@ class Complete:
         if self.train:
             validate = _Validation(replace(self.objects, shapes=_VALIDATION, meshes=None))
             checkpoint = str(fit_completion(self.objects, self.size, self.training, self.out, validate))
-            if not leads():
+            if not is_main_process():
                 return
             print(f"checkpoint: {checkpoint}")
         if self.evaluate or self.mesh:

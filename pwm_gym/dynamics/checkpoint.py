@@ -11,7 +11,7 @@ import torch
 
 from pwm_gym.dynamics.model import WorldModel
 from pwm_gym.dynamics.registry import build_model, config_of
-from pwm_gym.errors import CheckpointError, unknown_name
+from pwm_gym.errors import CheckpointError, UnknownNameError, unknown_name
 from pwm_gym.files import load_arrays, save_arrays
 from pwm_gym.learning import load_weights, read_description, save_weights
 from pwm_gym.robots import Control
@@ -21,10 +21,22 @@ __all__ = ["SCHEMA", "SHIPPED", "Checkpoint", "SceneBank", "load_checkpoint", "r
 
 SCHEMA = 1
 _FORMAT = "pwm_gym.checkpoint"
-_KEYS = {"task", "model", "config", "layout", "action_size", "control"}
+_NO_MODEL = (RuntimeError, ValueError, TypeError, ArithmeticError, LookupError, MemoryError, AttributeError)
 _BANK = ("clouds", "poses", "goals", "joints")
 SHIPPED = Path(__file__).parent.parent / "checkpoints"
 """Folder of the checkpoints that come with the package, one a task."""
+
+
+@dataclass(frozen=True)
+class _Description:
+    """What a checkpoint's description must hold."""
+
+    task: str
+    model: str
+    config: dict[str, Any]
+    layout: Any
+    action_size: int
+    control: Any
 
 
 @dataclass(frozen=True)
@@ -88,12 +100,18 @@ def resolve(checkpoint: str | Path, task: str) -> Path:
     """Folder of a checkpoint: a path, the name of a shipped one, or ``"default"`` for the task's own.
 
     Raises:
-        UnknownNameError: neither a folder nor a shipped name.
+        UnknownNameError: neither a folder nor a shipped name, or none is shipped for the task.
     """
     shipped = {p.parent.name: p.parent for p in SHIPPED.glob("*/config.json")}
-    name = task if str(checkpoint) == "default" else str(checkpoint)
+    own = str(checkpoint) == "default"
+    name = task if own else str(checkpoint)
     if name in shipped:
         return shipped[name]
+    if own:
+        raise UnknownNameError(
+            f"no checkpoint of task {task!r} is shipped (shipped: {', '.join(sorted(shipped)) or 'none'}); train one with "
+            f"`pwm-gym collect --task {task}` and `pwm-gym train --data data-sets/{task}`, then pass its folder"
+        )
     path = Path(checkpoint)
     if not path.is_dir():
         raise unknown_name("checkpoint", str(checkpoint), [*shipped, "default"])
@@ -107,13 +125,18 @@ def load_checkpoint(folder: str | Path, task: str | None = None, device: str = "
         CheckpointError: truncated, foreign, of another task, or of a newer schema.
     """
     folder = Path(folder)
-    description = read_description(folder, _FORMAT, SCHEMA, _KEYS)
+    description = read_description(folder, _FORMAT, SCHEMA, _Description)
     if task is not None and description["task"] != task:
         raise CheckpointError(f"{folder} is a checkpoint of task {description['task']!r}; expected {task!r}")
     layout = Layout.from_json(description["layout"])
     control = Control.from_json(description["control"])
     with torch.random.fork_rng(devices=[]):  # fresh weights are drawn only to be replaced
-        model = build_model(description["model"], layout, description["action_size"], control, description["config"])
+        try:
+            model = build_model(
+                description["model"], layout, description["action_size"], control, description["config"]
+            )
+        except _NO_MODEL as error:
+            raise CheckpointError(f"{folder}: its config.json describes no model ({error})") from error
     load_weights(model, folder)
     bank = _bank(folder / "scenes.npz", description["task"], layout)
     return Checkpoint(model.to(device), description["task"], description["model"], description, bank)  # type: ignore[arg-type]

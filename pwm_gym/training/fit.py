@@ -21,7 +21,7 @@ from pwm_gym.dynamics.checkpoint import SceneBank, save_checkpoint, use_device
 from pwm_gym.dynamics.model import WorldModel
 from pwm_gym.dynamics.registry import build_model
 from pwm_gym.errors import DatasetError, unknown_name
-from pwm_gym.learning import Clock, has_state, leads
+from pwm_gym.learning import Clock, has_state, is_main_process
 from pwm_gym.tasks import Task, get_task
 from pwm_gym.training.losses import TrainConfig, train
 
@@ -114,7 +114,7 @@ def fit(config: FitConfig, training: TrainConfig, validate: Validate, progress: 
         return validate(trained, held_out, held_out_seen)
 
     metrics = train(model, Reframed(windows), training, config.out, measure, save, progress, clock)
-    if leads() and getattr(model, "error", None) is not None:
+    if is_main_process() and getattr(model, "error", None) is not None:
         fit_error(model, dataset, config.error_steps)
         save(model, metrics or measure(model))  # a resumed run may have had nothing left to train
     return checkpoint
