@@ -39,7 +39,7 @@ def save_weights(folder: Path, model: nn.Module, description: Mapping[str, Any])
         CheckpointError: a weight is not finite; what the folder held stays.
     """
     weights = {k: v.detach().cpu().contiguous() for k, v in model.state_dict().items()}
-    _check_finite(weights, f"the weights for {folder}")
+    _check_finite(weights, model, f"the weights for {folder}")
     text = json.dumps(_without_nan(description), indent=2, allow_nan=False)
     folder.mkdir(parents=True, exist_ok=True)
     save_file(weights, folder / f".{_WEIGHTS}")
@@ -85,7 +85,7 @@ def load_weights(model: nn.Module, folder: Path) -> None:
         weights = load_file(path)
     except _DAMAGE as error:
         raise CheckpointError(f"{path} is truncated or not safetensors ({error})") from error
-    _check_finite(weights, str(path))
+    _check_finite(weights, model, str(path))
     try:
         model.load_state_dict(weights)
     except RuntimeError as error:
@@ -93,12 +93,15 @@ def load_weights(model: nn.Module, folder: Path) -> None:
     model.eval().requires_grad_(False)
 
 
-def _check_finite(weights: Mapping[str, Tensor], what: str) -> None:
-    """Raise :class:`CheckpointError` where a tensor holds a NaN or an infinity."""
+def _check_finite(weights: Mapping[str, Tensor], model: nn.Module, what: str) -> None:
+    """Raise :class:`CheckpointError` where a tensor holds a NaN, or a parameter an infinity (a limit may be one)."""
+    parameters = {name for name, _ in model.named_parameters()}
     for name, value in weights.items():
-        if value.is_floating_point() and not bool(torch.isfinite(value).all()):
-            count = int((~torch.isfinite(value)).sum())
-            raise CheckpointError(f"{what}: {name!r} holds {count} values that are not finite")
+        if not value.is_floating_point():
+            continue
+        wrong = ~torch.isfinite(value) if name in parameters else torch.isnan(value)
+        if bool(wrong.any()):
+            raise CheckpointError(f"{what}: {name!r} holds {int(wrong.sum())} values that are not finite")
 
 
 def _without_nan(value: Any) -> Any:
