@@ -219,7 +219,9 @@ def test_a_damaged_checkpoint_ends_in_a_clear_error(name, tmp_path):
 
 
 @pytest.mark.parametrize("kind", FILES)
-@pytest.mark.parametrize("content", [b"", b"PK\x03\x04", b"\xff" * 64, b"[" * 100_000], ids=["empty", "zip", "ones", "deep"])
+@pytest.mark.parametrize(
+    "content", [b"", b"PK\x03\x04", b"\xff" * 64, b"[" * 100_000], ids=["empty", "zip", "ones", "deep"]
+)
 def test_other_files_end_in_a_clear_error(kind, content, tmp_path):
     path = tmp_path / "file.npz"
     assert check(lambda: FILES[kind][1](path), path, content, kind)

@@ -18,6 +18,7 @@ from pwm_gym.data.episodes import KINDS
 from pwm_gym.dynamics.model import WorldModel
 from pwm_gym.evaluation.calibration import calibration
 from pwm_gym.evaluation.metrics import chamfer, pearson
+from pwm_gym.evaluation.onsets import onset_errors
 from pwm_gym.evaluation.rollouts import (
     OBSERVED,
     STEPS,
@@ -31,7 +32,7 @@ from pwm_gym.evaluation.rollouts import (
 from pwm_gym.scene import RigidState, State
 from pwm_gym.tasks import Task
 
-__all__ = ["SPLITS", "STEPS", "evaluate_rollouts"]
+__all__ = ["SPLITS", "STEPS", "evaluate_rollouts", "onsets_by_split"]
 
 SPLITS: dict[str, tuple[str, ...]] = {
     "all": ("expert", "randomised"),
@@ -83,6 +84,15 @@ def evaluate_rollouts(
         chosen = np.isin(kinds, wanted)
         if chosen.any():
             table[split] = _summary(rollouts, scores, chosen)
+    return table
+
+
+def onsets_by_split(model: WorldModel, dataset: Dataset) -> dict[str, Any]:
+    """Onset errors (:func:`~pwm_gym.evaluation.onsets.onset_errors`) of each of :data:`SPLITS` that has onsets."""
+    table = {}
+    for split, kinds in SPLITS.items():
+        if (told := onset_errors(model, dataset.of_kinds(kinds))) is not None:
+            table[split] = told
     return table
 
 

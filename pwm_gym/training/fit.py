@@ -42,11 +42,13 @@ class FitConfig:
     """What to train on what."""
 
     task: str = "PickCube"
-    """Registered task."""
-    data: tuple[Path, ...] = (Path("data-sets/PickCube"),)
-    """Folders of data sets of the task (``pwm-gym collect``); their training splits are joined."""
-    out: Path = Path("runs/PickCube")
-    """Folder of the run: TensorBoard curves, the state to resume from, and ``checkpoint``."""
+    """Registered task; the command line reads it from ``data`` where that is given."""
+    data: tuple[Path, ...] = ()
+    """Folders of data sets (``pwm-gym collect``); their training splits are joined. None given takes ``data-sets/`` and
+    the task's name."""
+    out: Path | None = None
+    """Folder of the run: TensorBoard curves, the state to resume from, and ``checkpoint``. None takes ``runs/`` and the
+    task's name."""
     model: str = "compact"
     """Registered kind of world model."""
     settings: dict[str, int | float | bool | str] = field(default_factory=dict)
@@ -64,6 +66,16 @@ class FitConfig:
     boost: float = _BOOST
     """How much likelier windows with an object's own motion are drawn."""
 
+    @property
+    def folders(self) -> tuple[Path, ...]:
+        """Folders of the data sets."""
+        return self.data or (Path("data-sets") / self.task,)
+
+    @property
+    def folder(self) -> Path:
+        """Folder of the run."""
+        return Path("runs") / self.task if self.out is None else self.out
+
 
 def fit(config: FitConfig, training: TrainConfig, validate: Validate, progress: bool = True) -> Path:
     """Train and return the checkpoint's folder.
@@ -80,25 +92,25 @@ def fit(config: FitConfig, training: TrainConfig, validate: Validate, progress: 
     """
     task = get_task(config.task)
     use_device(training.device)
-    splits = [load_split(folder, "train", task.name) for folder in config.data]
+    splits = [load_split(folder, "train", task.name) for folder in config.folders]
     dataset = _chosen(_joined(splits), config)
-    held_out = load_split(config.data[0], "validation", task.name)
+    held_out = load_split(config.folders[0], "validation", task.name)
     windows, held_out_seen = Windows(dataset, config.boost), None
     if config.view not in _VIEWS:
         raise unknown_name("view", config.view, _VIEWS)
     if config.view == "partial":
-        if config.episodes or config.kinds or len(config.data) > 1:
+        if config.episodes or config.kinds or len(config.folders) > 1:
             raise DatasetError("view='partial' trains on all episodes of one data set; expected no choice of them")
-        folder = config.data[0]
+        folder = config.folders[0]
         windows = PartialWindows(dataset, visible_split(folder, "train", task, dataset), boost=config.boost)
         held_out_seen = visible_split(folder, "validation", task, held_out)
     clock = Clock()
     torch.set_num_threads(training.threads)  # before the fits: sums depend on it, and a resumed run must find the same
     torch.manual_seed(training.seed)
     model = build_model(config.model, task.layout, task.action_size, task.control, config.settings)
-    if not has_state(config.out):  # a resumed run reads what was fitted
+    if not has_state(config.folder):  # a resumed run reads what was fitted
         _fit_response(model, dataset, config.arm_steps)
-    checkpoint = config.out / "checkpoint"
+    checkpoint = config.folder / "checkpoint"
     description: dict[str, Any] = {
         "config": json.loads(json.dumps(asdict(training), default=str)),
         "data": _describe(config, dataset),
@@ -113,7 +125,7 @@ def fit(config: FitConfig, training: TrainConfig, validate: Validate, progress: 
     def measure(trained: Any) -> dict[str, float]:
         return validate(trained, held_out, held_out_seen)
 
-    metrics = train(model, Reframed(windows), training, config.out, measure, save, progress, clock)
+    metrics = train(model, Reframed(windows), training, config.folder, measure, save, progress, clock)
     if is_main_process() and getattr(model, "error", None) is not None:
         fit_error(model, dataset, config.error_steps)
         save(model, metrics or measure(model))  # a resumed run may have had nothing left to train
@@ -195,7 +207,7 @@ def _describe(config: FitConfig, dataset: Dataset) -> dict[str, Any]:
     """What the training data is, for the checkpoint's description."""
     kinds = np.bincount([e.kind for e in dataset.episodes], minlength=len(KINDS))
     return {
-        "settings": [read_header(folder)["settings"] for folder in config.data],
+        "settings": [read_header(folder)["settings"] for folder in config.folders],
         "episodes": dict(zip(KINDS, map(int, kinds), strict=True)),
         "transitions": sum(len(e) for e in dataset.episodes),
         "view": config.view,

@@ -52,7 +52,9 @@ def test_weights_that_are_not_finite_are_not_saved(folder, model):
 
 
 def test_weights_that_are_not_finite_are_not_loaded(folder, model):
-    save_file({"weight": model.weight.detach() * float("inf"), "bias": model.bias.detach()}, folder / "model.safetensors")
+    save_file(
+        {"weight": model.weight.detach() * float("inf"), "bias": model.bias.detach()}, folder / "model.safetensors"
+    )
     with pytest.raises(CheckpointError, match=r"model\.safetensors: 'weight' holds 6 values"):
         load_weights(nn.Linear(3, 2), folder)
 
