@@ -109,8 +109,8 @@ def resolve(checkpoint: str | Path, task: str) -> Path:
         return shipped[name]
     if own:
         raise UnknownNameError(
-            f"no checkpoint of task {task!r} is shipped (shipped: {', '.join(sorted(shipped)) or 'none'}); train one with "
-            f"`pwm-gym collect --task {task}` and `pwm-gym train --data data-sets/{task}`, then pass its folder"
+            f"no checkpoint of task {task!r} is shipped (shipped: {', '.join(sorted(shipped)) or 'none'}); train one "
+            f"with `pwm-gym collect --task {task}` and `pwm-gym train --data data-sets/{task}`, then pass its folder"
         )
     path = Path(checkpoint)
     if not path.is_dir():

@@ -67,7 +67,7 @@ def build_model(
     for key in values:
         if key not in known:
             raise CheckpointError(str(unknown_name(f"{name} setting", key, known)))
-    settings = convert(values, kind.config, CheckpointError, f"{name} settings")
+    settings: Any = convert(values, kind.config, CheckpointError, f"{name} settings")
     return kind.build(layout, action_size, control, settings)
 
 

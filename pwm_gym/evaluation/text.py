@@ -56,9 +56,8 @@ def _object_lines(name: str, tables: Mapping[str, Any], chaos: Mapping[str, Any]
             error = entity[kind]
             cells = "".join(f" {_cell(error.get(k, {}).get('mean'), 1):>8s}" for k in _COLUMNS)
             turned = entity["rotation_deg"]["last"]["mean"] if kind == "position_mm" else None
-            lines.append(
-                f"    {row:20s} {kind.replace('_', ' '):14s}{cells} {error['last']['median']:14.1f} {_cell(turned, 1):>12s}"
-            )
+            last = f"{error['last']['median']:14.1f} {_cell(turned, 1):>12s}"
+            lines.append(f"    {row:20s} {kind.replace('_', ' '):14s}{cells} {last}")
         if chaos is not None:
             units = in_units_of_chaos(entity["position_mm"], chaos["position_mm"])
             cells = "".join(f" {_cell(units.get(k), 1):>8s}" for k in _COLUMNS)

@@ -209,7 +209,8 @@ class _Run:
             raise CheckpointError(f"{path} is truncated or foreign ({error}); delete it to start anew") from error
         if not isinstance(state, dict) or state.keys() != _KEYS:
             raise CheckpointError(
-                f"{path} is foreign or of another version of pwm_gym; finish it with that one or delete it to start anew"
+                f"{path} is foreign or of another version of pwm_gym; "
+                "finish it with that one or delete it to start anew"
             )
         if state["config"] != self.config.describe():
             raise CheckpointError(f"{path} was written with {state['config']}; expected {self.config.describe()}")
