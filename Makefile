@@ -4,6 +4,7 @@ PYTHON ?= $(shell command -v python3.11 || command -v python3)
 BIN = $(abspath $(VENV))/bin
 SOURCES = $(shell find pwm_gym envs wrappers -type f -not -name '*.pyc')
 export OMP_NUM_THREADS ?= 2
+TASK ?= PickCube# of `make demo`
 
 .PHONY: demo test test-all lint install clean
 
@@ -24,7 +25,7 @@ $(VENV)/.package: $(VENV)/.dependencies $(SOURCES) pyproject.toml
 	touch $@
 
 demo: $(VENV)/.package
-	$(BIN)/pwm-gym demo
+	$(BIN)/pwm-gym demo --task $(TASK)
 
 lint: $(VENV)/.package
 	$(BIN)/ruff check .

@@ -36,8 +36,8 @@ Command = (
 
 def main(args: list[str] | None = None) -> None:
     """Run a subcommand; errors about its input are one line, without a traceback."""
-    command: Any = tyro.cli(Command, prog="pwm-gym", args=args)
     try:
+        command: Any = tyro.cli(Command, prog="pwm-gym", args=args)
         command.run()
     except PwmGymError as error:
         raise SystemExit(f"pwm-gym: {error}") from None

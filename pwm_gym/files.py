@@ -56,6 +56,7 @@ class _Header(Protocol):
 
 
 _H = TypeVar("_H", bound=_Header)
+_NUMBERS = "fiub"  # kinds of NumPy types: floats, integers, bool
 _DAMAGE = (
     KeyError,
     TypeError,
@@ -107,8 +108,11 @@ def load_arrays(
         if named.format != form:
             raise error(f"{path} has format {named.format!r}; expected {form!r}")
         found = decode(text, header, error, f"the header of {path}")
-    for name in arrays.keys() - {*gaps}:
-        check_finite(arrays[name], f"{path}: {name}", error)
+    for name, array in arrays.items():
+        if array.dtype.kind not in _NUMBERS:
+            raise error(f"{path}: {name} has type {array.dtype}; expected numbers")
+        if name not in gaps:
+            check_finite(array, f"{path}: {name}", error)
     return arrays, found
 
 

@@ -26,7 +26,7 @@ def convert(data: Any, form: type[_T], error: type[PwmGymError], what: str) -> _
     """
     try:
         return msgspec.convert(data, form)
-    except (msgspec.ValidationError, RecursionError) as cause:
+    except (msgspec.ValidationError, RecursionError, UnicodeError) as cause:
         raise error(f"{what}: {cause}") from cause
 
 

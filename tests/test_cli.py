@@ -1,11 +1,17 @@
 import json
 import shutil
+from dataclasses import replace
+from pathlib import Path
 
 import pytest
+from PIL import Image
 
 from pwm_gym.cli import main
+from pwm_gym.commands.train import resolved
 from pwm_gym.data.episodes import read_shard, write_shard
 from pwm_gym.planning import Run
+from pwm_gym.tasks import TASKS
+from pwm_gym.training import FitConfig
 
 COMMANDS = ("demo", "envs", "collect", "train", "complete", "evaluate", "plan", "view", "bench", "check-cost")
 
@@ -56,12 +62,44 @@ def test_help_lists_every_command(capsys):
         (["evaluate", "--data", "nowhere"], "nowhere is not a data set"),
         (["evaluate", "--task", "Pick", "--data", "nowhere"], "unknown task 'Pick'"),
         (["check-cost", "--cost", "pick_cubes"], "unknown cost 'pick_cubes'; known: "),
+        (["plan", "--cost", "pick_cubes"], "unknown cost 'pick_cubes'; known: "),
+        (["demo", "--cost", "nothing.py:cost"], "no file 'nothing.py'"),
+        (["demo", "--task", "Pick"], "unknown task 'Pick'"),
+        (["collect", "--episodes", "-3"], "episodes=-3; expected at least 1"),
+        (["complete", "--evaluate"], "--evaluate has no objects to complete; expected --meshes FOLDER"),
+        (["evaluate", "--table", "horizn"], "Did you mean 'horizon'"),
+        (["evaluate", "--table", "shared"], "expected --checkpoints FOLDER"),
+        (["evaluate"], "data-sets/PickCube is not a data set"),
+        (["train"], "data-sets/PickCube is not a data set"),
     ],
 )
-def test_errors_about_input_are_one_line(args, message, tmp_path):
+def test_errors_about_input_are_one_line(args, message, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     if args[-1] == "--out":
         args = [*args, tmp_path / "out"]
     assert message in failure(*args)
+
+
+def test_a_task_without_a_shipped_checkpoint_says_how_to_train_one(monkeypatch):
+    monkeypatch.setitem(TASKS, "StackCube", replace(TASKS["PickCube"], name="StackCube"))
+    message = failure("demo", "--task", "StackCube")
+    assert "no checkpoint of task 'StackCube' is shipped (shipped: PickCube" in message
+    assert "`pwm-gym collect --task StackCube` and `pwm-gym train --data data-sets/StackCube`" in message
+
+
+def test_a_rank_without_torchrun_is_one_line(data_folder, monkeypatch, tmp_path):
+    monkeypatch.setenv("RANK", "1")
+    assert "start several processes with torchrun" in failure("train", "--data", data_folder, "--out", tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
+def test_the_tasks_of_a_training_are_read_from_its_data(data_folder):
+    assert resolved(FitConfig()).folders == (Path("data-sets/PickCube"),)
+    assert resolved(FitConfig()).folder == Path("runs/PickCube")
+    assert resolved(FitConfig(task="StackCube")).folders == (Path("data-sets/StackCube"),)
+    config = resolved(FitConfig(task="StackCube", data=(data_folder, data_folder)))
+    assert (config.task, config.folder) == ("PickCube", Path("runs/PickCube"))
+    assert resolved(FitConfig(data=(data_folder,), out=Path("mine"))).folder == Path("mine")
 
 
 COSTS = """
@@ -145,6 +183,7 @@ def short_episodes(data_folder, cut, tmp_path):
 
 def test_evaluate_writes_its_table(short_episodes, tmp_path, capsys):
     args = f"evaluate --data {short_episodes} --no-floors --threads 1 --completer hull --json {tmp_path}/table.json"
+    args += f" --strips {tmp_path}/strips"
     main(args.split())
     results = json.loads((tmp_path / "table.json").read_text())
     completed = {f"completed, {view}" for view in ("right", "left", "front")}
@@ -153,8 +192,11 @@ def test_evaluate_writes_its_table(short_episodes, tmp_path, capsys):
     assert all(results["rows"][row]["practice"]["chamfer_l1"] > truth for row in completed)
     assert results["rows"]["still"]["practice"]["episodes"] == 1
     assert results["long_rollouts"]["finite"] in (True, False)
+    assert results["objects"] == ["cube"]
     out = capsys.readouterr().out
-    assert "PickCube, practice: 1 test episodes" in out and "ceiling" in out
+    assert "PickCube, practice: 1 test episodes" in out and "ceiling" in out and "cube: mean error" in out
+    with Image.open(tmp_path / "strips" / "PickCube.png") as strips:
+        assert strips.width > 500 and strips.height > 250
 
 
 def test_plan_writes_its_table(tmp_path, capsys):
@@ -175,6 +217,8 @@ def test_a_saved_run_is_drawn(tmp_path, capsys):
     for extra in ([], ["--rollout"]):
         main(["view", str(saved), "--out", str(tmp_path / "view"), *extra])
         assert {p.name for p in (tmp_path / "view").iterdir()} == {f"{saved.stem}.png", f"{saved.stem}.gif"}
+    main(["view", str(saved), "--out", str(tmp_path / "view"), "--strip"])
+    assert (tmp_path / "view" / f"{saved.stem}-strip.png").exists()
     assert "failure after 3 steps; the model looks every 2 steps" in capsys.readouterr().out
 
 

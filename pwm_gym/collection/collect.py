@@ -34,12 +34,17 @@ _KINDS = ("demonstration", "practice", "on_policy")
 
 @dataclass(frozen=True)
 class CollectConfig:
-    """What to collect."""
+    """What to collect.
+
+    Raises:
+        DatasetError: a number that cannot be.
+    """
 
     task: str = "PickCube"
     """Registered task."""
-    out: Path = Path("data-sets/PickCube")
-    """Folder of the data set; a run that was killed goes on where it was."""
+    out: Path | None = None
+    """Folder of the data set; None takes ``data-sets/`` and the task's name. A run that was killed goes on where it
+    was."""
     episodes: int = 1000
     """Training episodes; validation and test get a tenth as many each, at least ``held_out``."""
     held_out: int = 20
@@ -60,6 +65,22 @@ class CollectConfig:
     shard: int = 20
     """Episodes a file."""
 
+    def __post_init__(self) -> None:
+        """Refuse what cannot be."""
+        for name, least in {"episodes": 1, "held_out": 1, "workers": 1, "shard": 1, "offset": 0}.items():
+            if getattr(self, name) < least:
+                raise DatasetError(f"{name}={getattr(self, name)}; expected at least {least}")
+        for name in ("practice", "on_policy", "randomise"):
+            if not 0.0 <= getattr(self, name) <= 1.0:
+                raise DatasetError(f"{name}={getattr(self, name)}; expected a share from 0 to 1")
+        if self.practice + self.on_policy > 1.0:
+            raise DatasetError(f"practice={self.practice} and on_policy={self.on_policy}; expected at most 1 together")
+
+    @property
+    def folder(self) -> Path:
+        """Folder of the data set."""
+        return Path("data-sets") / self.task if self.out is None else self.out
+
 
 @dataclass(frozen=True)
 class _Job:
@@ -71,21 +92,33 @@ class _Job:
 
 
 def collect(config: CollectConfig, progress: bool = True) -> Path:
-    """Collect a data set into ``config.out`` and return that folder.
+    """Collect a data set into ``config.folder`` and return that.
 
     Shards that exist and are whole are kept, so a killed run resumes; truncated ones are collected again.
 
     Raises:
-        DatasetError: the folder holds a data set of another task or configuration.
+        DatasetError: the folder holds a data set of another task or configuration, or lost files meanwhile.
     """
     task = get_task(config.task)
     _write_header(config, task)
-    jobs = [job for job in _jobs(config) if not _is_whole(job, task)]
+    every = list(_jobs(config))
+    jobs = [job for job in every if not _is_whole(job, task)]
     total = sum(len(job.seeds) for job in jobs)
     with tqdm(total=total, unit="episode", disable=not progress, desc=f"collect {task.name}") as bar:
         for count in _run(jobs, config.workers):
             bar.update(count)
-    return config.out
+    _check_complete(config.folder, every)
+    return config.folder
+
+
+def _check_complete(folder: Path, jobs: list[_Job]) -> None:
+    """Raise :class:`DatasetError` where files are gone that were there or were written."""
+    paths = [folder / "dataset.json", *(job.path for job in jobs)]
+    if missing := [path.name for path in paths if not path.exists()]:
+        raise DatasetError(
+            f"{folder} lost {len(missing)} of {len(paths)} files while it was collected ({missing[0]}, ...); "
+            "collect again to replace them"
+        )
 
 
 def _write_header(config: CollectConfig, task: Task) -> None:
@@ -97,11 +130,11 @@ def _write_header(config: CollectConfig, task: Task) -> None:
         "layout": task.layout.to_json(),
         "kinds": list(KINDS),
     }
-    path = config.out / "dataset.json"
+    path = config.folder / "dataset.json"
     if path.exists():
-        found = read_header(config.out).settings
+        found = read_header(config.folder).settings
         if found != settings:
-            raise DatasetError(f"{config.out} was collected with {found}; expected {settings}")
+            raise DatasetError(f"{config.folder} was collected with {found}; expected {settings}")
         return
     write_atomically(path, json.dumps(header).encode())
 
@@ -119,7 +152,7 @@ def _jobs(config: CollectConfig) -> Iterator[_Job]:
         ):
             seeds = RANGES[split][place * third + config.offset :][:number]
             for k in range(0, number, config.shard):
-                path = config.out / f"{split}-{kind}-{k // config.shard:05d}.npz"
+                path = config.folder / f"{split}-{kind}-{k // config.shard:05d}.npz"
                 yield _Job(path, seeds[k : k + config.shard], kind, config)
 
 

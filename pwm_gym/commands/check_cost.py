@@ -10,7 +10,7 @@ from typing import Any
 
 from pwm_gym.errors import PwmGymError
 
-__all__ = ["CheckCost"]
+__all__ = ["CheckCost", "find_cost"]
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class CheckCost:
         from pwm_gym.tasks import get_task
 
         task = get_task(self.task)
-        cost = get_cost(_find(self.cost))
+        cost = get_cost(find_cost(self.cost))
         bank = load_checkpoint(resolve("default", task.name)).bank(task.name)
         state = batch_state([bank.scene(i) for i in range(8)])
         frames = state.frames.requires_grad_(True)
@@ -51,7 +51,7 @@ class CheckCost:
         print(f"cost {cost.name!r} is fine on 8 scenes; {'differentiable' if smooth else 'without a gradient here'}")
 
 
-def _find(name: str) -> str | Callable[..., Any]:
+def find_cost(name: str) -> str | Callable[..., Any]:
     """A registered name as it is, or the function of a file."""
     path, _, function = name.partition(":")
     if not function:

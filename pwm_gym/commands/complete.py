@@ -55,17 +55,20 @@ class Complete:
         """Do what is asked for, one after the other."""
         from pwm_gym.completion import LearnedCompleter, fit_completion, load_completion
         from pwm_gym.errors import PwmGymError
-        from pwm_gym.learning import leads
+        from pwm_gym.learning import is_main_process
         from pwm_gym.process import prepare_process
 
         if not (self.train or self.evaluate or self.mesh):
             raise PwmGymError("nothing to do; expected --train, --evaluate or --mesh FILE")
+        if self.evaluate and self.objects.meshes is None:
+            raise PwmGymError("--evaluate has no objects to complete; expected --meshes FOLDER")
+        main = is_main_process()
         prepare_process(self.training.threads)
         checkpoint = self.checkpoint
         if self.train:
             validate = _Validation(replace(self.objects, shapes=_VALIDATION, meshes=None))
             checkpoint = str(fit_completion(self.objects, self.size, self.training, self.out, validate))
-            if not leads():
+            if not main:
                 return
             print(f"checkpoint: {checkpoint}")
         if self.evaluate or self.mesh:
@@ -86,7 +89,7 @@ class Complete:
         for split, seen in (("seen", True), ("unseen", False)):
             meshes = self.objects.read(seen)
             if not meshes:
-                continue
+                continue  # all objects are of the other split
             names = list(meshes)
             for name, config in _conditions().items():
                 views = Views(list(meshes.values()), config, cleaner=clean)

@@ -29,6 +29,8 @@ class Demo:
     """Folder of the pictures."""
     episodes: int = 3
     """Seeded episodes; the first successful one is drawn."""
+    cost: str | None = None
+    """Registered cost, or "file.py:function", to plan with; None takes the task's planning cost."""
     threads: int = 2
     """PyTorch threads."""
 
@@ -37,18 +39,21 @@ class Demo:
         import gymnasium as gym
 
         import pwm_gym  # noqa: F401  (registers)
+        from pwm_gym.commands.check_cost import find_cost
         from pwm_gym.dynamics import load_checkpoint, resolve
         from pwm_gym.planning import Agent
         from pwm_gym.process import prepare_process
         from pwm_gym.seeds import seed_range
+        from pwm_gym.tasks import get_task
 
         prepare_process(self.threads)
+        task = get_task(self.task)
         checkpoint = load_checkpoint(resolve(self.checkpoint, self.task))
         begun = time.perf_counter()
         env = gym.make(f"pwm/{self.task}Sim-v0")
         print(f"{self.task}: {checkpoint.kind} world model; simulator ready in {time.perf_counter() - begun:.0f} s")
-        agent = Agent(checkpoint.model, self.task)
-        runs = [_execute(env, agent, seed) for seed in seed_range("plan_test", self.episodes)]
+        agent = Agent(checkpoint.model, self.task, cost=None if self.cost is None else find_cost(self.cost))
+        runs = [_execute(env, agent, seed, task.max_episode_steps) for seed in seed_range("plan_test", self.episodes)]
         env.close()
         best = next((r for r in runs if r.success), runs[0])
         self._draw(best, agent)
@@ -70,11 +75,11 @@ class Demo:
         write_gif(record, self.out / "twin.gif")
 
 
-def _execute(env: gym.Env[Any, Any], agent: Agent, seed: int) -> Run:
+def _execute(env: gym.Env[Any, Any], agent: Agent, seed: int, max_steps: int) -> Run:
     """One closed-loop episode, and one printed line."""
     from pwm_gym.planning import execute
 
-    run = execute(env, agent, seed)
+    run = execute(env, agent, seed, max_steps)
     result, latency = "success" if run.success else "failure", np.median(run.plan_seconds)
     print(f"  seed {seed}: {result} after {run.steps:3d} steps, {latency:.2f} s an action")
     return run

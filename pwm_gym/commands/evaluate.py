@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from pwm_gym.commands.folders import data_folder
+
 if TYPE_CHECKING:
-    from pwm_gym.data import Dataset
+    from pwm_gym.data import Dataset, Episode
+    from pwm_gym.dynamics import WorldModel
     from pwm_gym.planning import Run
     from pwm_gym.scene import RigidState
     from pwm_gym.tasks import Task
@@ -29,8 +32,9 @@ class Evaluate:
 
     task: str = "PickCube"
     """Registered task."""
-    data: Path = Path("data-sets/PickCube")
-    """Folder of a data set; the baseline without learning is fitted on its training split."""
+    data: Path | None = None
+    """Folder of a data set; the baseline without learning is fitted on its training split. None takes ``data-sets/``
+    and the task's name."""
     checkpoint: str = "default"
     """A folder or a shipped checkpoint's name."""
     split: str = "test"
@@ -48,8 +52,17 @@ class Evaluate:
     pictures: Path | None = None
     """Folder for pictures (PNG): expected against real errors, and the errors of the long rollouts over time; of tables
     of planning, the failed episodes."""
+    strips: Path | None = None
+    """Folder for a strip (PNG) of a rollout of each kind: predicted over true at five instants."""
     table: str | None = None
-    """rollout, baselines, register, horizon, data, head, arm, planning, planners or completed."""
+    """rollout, baselines, register, horizon, data, head, arm, planning, planning-paper, planners, completed, shared or
+    distractors."""
+    checkpoints: tuple[Path, ...] = ()
+    """Table "shared": folders of checkpoints, each a row."""
+    tasks: tuple[str, ...] = ()
+    """Table "shared": its columns; none given takes ``--task``. Each task's data set is the one in ``data-sets/``."""
+    episodes: int = 50
+    """Tables "shared" and "distractors": episodes."""
     full: bool = False
     """Tables of planning: whether the fast models plan 100 episodes instead of 20."""
     members: tuple[str, ...] = ()
@@ -71,6 +84,8 @@ class Evaluate:
         from pwm_gym.data import load_split
         from pwm_gym.dynamics import load_checkpoint, resolve
         from pwm_gym.evaluation import evaluate_rollouts, long_rollouts, write_results
+        from pwm_gym.evaluation.report import onsets_by_split
+        from pwm_gym.evaluation.text import report_text
         from pwm_gym.process import prepare_process
         from pwm_gym.tasks import get_task
         from pwm_gym.training import fit_baseline
@@ -79,21 +94,24 @@ class Evaluate:
         if self.pictures is not None:
             self.pictures.mkdir(parents=True, exist_ok=True)
         task = get_task(self.task)
-        dataset = load_split(self.data, self.split, task.name)
+        data = data_folder(task.name, self.data)
+        dataset = load_split(data, self.split, task.name)
         checkpoint = load_checkpoint(resolve(self.checkpoint, task.name))
-        rows = {checkpoint.kind: evaluate_rollouts(checkpoint.model, task, dataset, every=self.every)}
+        training = load_split(data, "train", task.name)
+        models: dict[str, WorldModel] = {checkpoint.kind: checkpoint.model}
+        models |= {name: fit_baseline(name, training) for name in _WITHOUT_LEARNING}
+        rows = {k: evaluate_rollouts(model, task, dataset, every=self.every) for k, model in models.items()}
         rows["oracle effector"] = evaluate_rollouts(checkpoint.model, task, dataset, oracle=True, every=self.every)
-        training = load_split(self.data, "train", task.name)
-        for name in _WITHOUT_LEARNING:
-            rows[name] = evaluate_rollouts(fit_baseline(name, task, training), task, dataset, every=self.every)
         if self.completer is not None:
             for view, start in _completed_starts(task, dataset, self.completer, self.sensor).items():
                 rows[f"completed, {view}"] = evaluate_rollouts(
                     checkpoint.model, task, dataset, every=self.every, start=start
                 )
-        floors = _floors(task, dataset) if self.floors else {}
-        _print(task, rows, floors)
+        onsets = {k: onsets_by_split(model, dataset) for k, model in models.items()}
+        floors = self._floors(task, dataset) if self.floors else {}
+        print(report_text(task, rows, onsets, floors))
         self._calibration(task, rows[checkpoint.kind])
+        self._strips(task, checkpoint.model, dataset)
         long = long_rollouts(checkpoint.model, dataset)
         print(f"300 zero actions, moved at the end (mm): {long['zero_actions_mm']}")
         print(f"300 random actions: farthest {long['random_actions_m']:.2f} m, finite: {long['finite']}")
@@ -102,12 +120,51 @@ class Evaluate:
             results = {
                 "split": self.split,
                 "every": self.every,
-                "checkpoint": checkpoint.description["training"]["data"],
+                "checkpoint": checkpoint.description["training"].get("data"),
+                "objects": list(task.objects),
+                "rows": rows,
+                "onsets": onsets,
+                "floors": floors,
+                "long_rollouts": {**long, "mixed_actions": curves},
             }
-            write_results(
-                self.json,
-                {**results, "rows": rows, "floors": floors, "long_rollouts": {**long, "mixed_actions": curves}},
-            )
+            write_results(self.json, results)
+
+    def _strips(self, task: Task, model: WorldModel, dataset: Dataset) -> None:
+        """Draw the first episode of each kind where it is asked for."""
+        if self.strips is None:
+            return
+        from pwm_gym.viewer.strips import draw_rollout_strips
+
+        self.strips.mkdir(parents=True, exist_ok=True)
+        path = self.strips / f"{task.name}.png"
+        draw_rollout_strips(model, dataset, f"{task.name}: predicted over true").save(path)
+        print(path)
+
+    def _floors(self, task: Task, dataset: Dataset) -> dict[str, Any]:
+        """Sampling and chaos floors, and the onsets' own, of demonstrations and of practice."""
+        from pwm_gym.evaluation.floors import chaos_floor, sampling_floor
+        from pwm_gym.evaluation.onsets import onset_floor
+        from pwm_gym.evaluation.report import SPLITS
+        from pwm_gym.scene import sample_clouds
+
+        simulator = task.simulator()
+        found: dict[tuple[str, ...], Any] = {}
+
+        def fresh(episode: Episode) -> Any:
+            if episode.assets not in found:
+                simulator.reset(episode.seed)
+                found[episode.assets] = sample_clouds(simulator.meshes(), task.layout, task.cloud_seed + 1000)
+            return found[episode.assets]
+
+        floors: dict[str, Any] = {}
+        for split, suffix in (("all", ""), ("practice", ", practice")):
+            chosen = dataset.of_kinds(SPLITS[split])
+            if chosen.episodes:
+                floors[f"sampling{suffix}"] = sampling_floor(chosen, fresh)
+                floors[f"chaos{suffix}"] = chaos_floor(simulator, task, chosen)
+                floors[f"onsets{suffix}"] = onset_floor(simulator, chosen)
+        simulator.close()
+        return floors
 
     def _long(self, task: Task, model: Any, dataset: Dataset) -> dict[str, Any]:
         """Errors along long rollouts, drawn where asked for."""
@@ -115,7 +172,7 @@ class Evaluate:
         from pwm_gym.viewer import draw_quartiles
 
         simulator = task.simulator()
-        curves = error_curves(model, mixed_episodes(simulator, task, dataset.clouds, self.long))
+        curves = error_curves(model, mixed_episodes(simulator, task, dataset, self.long))
         simulator.close()
         for length, value in curves.mean_chamfer.items():
             print(f"{length} steps of mixed actions: Chamfer L1 {value:.4f} m on average")
@@ -141,31 +198,73 @@ class Evaluate:
     def _table(self, name: str) -> None:
         from pwm_gym.errors import look_up
         from pwm_gym.evaluation import write_results
-        from pwm_gym.experiments import TABLES, run_planning_table, run_table
-        from pwm_gym.experiments.members import PLANNING_TABLES, PlanningTable
-        from pwm_gym.process import prepare_process
+        from pwm_gym.experiments import TABLES
+        from pwm_gym.experiments.members import PLANNING_TABLES
 
-        chosen = look_up("table", name, {**TABLES, **PLANNING_TABLES})
-        if isinstance(chosen, PlanningTable):
-            prepare_process(self.threads)
-            draw = None if self.pictures is None else partial(_draw_failures, self.pictures)
-            planning = run_planning_table(chosen, self.data, self.out, self.task, self.full, self.members, draw)
-            _print_planning(planning)
-            if self.json is not None:
-                write_results(self.json, {"table": name, **planning})
-            return
-        table = run_table(name, self.data, self.out, self.task, self.workers)
-        print(table["caption"])
-        for row in table["rows"]:
-            cells = [f"{split} {_spread(row['splits'][split]['chamfer_l1'])}" for split in row["splits"]]
-            correlation = _spread(row["splits"]["all"]["reward_correlation"], 3)
-            print(f"  {row['row']:36s} CD L1: {', '.join(cells)}; corr {correlation}")
-            print(
-                f"  {'':36s} {row['cpu_minutes']:.0f} CPU-minutes, {row['sample_steps']:,} sample-steps, "
-                f"{row['seeds']} seeds; paper, other data: {row['paper, other data'] or '-'}"
-            )
+        runs: dict[str, Callable[[], dict[str, Any]]] = {
+            **{key: partial(self._trained, key) for key in TABLES},
+            **{key: partial(self._planned, key) for key in PLANNING_TABLES},
+            "shared": self._shared,
+            "distractors": self._distractors,
+        }
+        table = look_up("table", name, runs)()
         if self.json is not None:
             write_results(self.json, {"table": name, **table})
+
+    def _trained(self, name: str) -> dict[str, Any]:
+        """A table whose rows are trained."""
+        from pwm_gym.experiments import run_table
+
+        table = run_table(name, data_folder(self.task, self.data), self.out, self.task, self.workers)
+        from pwm_gym.evaluation.text import trained_text
+
+        print(trained_text(table))
+        return table
+
+    def _planned(self, name: str) -> dict[str, Any]:
+        """A table of planning."""
+        from pwm_gym.experiments import run_planning_table
+        from pwm_gym.experiments.members import PLANNING_TABLES
+        from pwm_gym.process import prepare_process
+
+        prepare_process(self.threads)
+        draw = None if self.pictures is None else partial(_draw_failures, self.pictures)
+        data = data_folder(self.task, self.data)
+        chosen = PLANNING_TABLES[name]
+        table = run_planning_table(chosen, data, self.out, self.task, self.full, self.members, draw)
+        from pwm_gym.evaluation.text import planning_text
+
+        print(planning_text(table))
+        return table
+
+    def _shared(self) -> dict[str, Any]:
+        """Checkpoints of several tasks against those of one."""
+        from pwm_gym.experiments import run_shared_table
+        from pwm_gym.tasks import get_task
+
+        tasks = tuple(get_task(name).name for name in self.tasks or (self.task,))
+        data = {task: data_folder(task, self.data if len(tasks) == 1 else None) for task in tasks}
+        table = run_shared_table(self.checkpoints, tasks, data, self.out, self.episodes, self.workers)
+        from pwm_gym.evaluation.text import shared_text
+
+        print(shared_text(table))
+        return table
+
+    def _distractors(self) -> dict[str, Any]:
+        """A checkpoint among objects that it never saw."""
+        from pwm_gym.dynamics import load_checkpoint, resolve
+        from pwm_gym.experiments import run_distractor_table
+        from pwm_gym.process import prepare_process
+        from pwm_gym.tasks import get_task
+
+        prepare_process(self.threads)
+        task = get_task(self.task)
+        checkpoint = load_checkpoint(resolve(self.checkpoint, task.name), task.name)
+        table = run_distractor_table(checkpoint, task, self.episodes)
+        influence = table["influence"]
+        print(f"{task.name} among distractors, {table['episodes']} scenes: predictions change by (mm)")
+        print(f"  {influence['own_mm']}; distractors move by {influence['distractors_mm']}")
+        return table
 
 
 def _draw_failures(pictures: Path, row: str, mode: str, runs: Sequence[Run]) -> str:
@@ -186,19 +285,6 @@ def _draw_failures(pictures: Path, row: str, mode: str, runs: Sequence[Run]) -> 
     return str(path)
 
 
-def _print_planning(table: dict[str, Any]) -> None:
-    print(table["caption"])
-    for row in table["rows"]:
-        print(f"  {row['row']}, {row['samples']} samples")
-        for mode, result in row["modes"].items():
-            low, high = result["interval"]
-            steps = result["mean_steps_of_successes"]
-            print(
-                f"    {mode:14s} {result['successes']:3d}/{result['episodes']} ({low:.0%} to {high:.0%}), "
-                f"{'-' if steps is None else f'{steps:.0f}'} steps, {result['plan_seconds']['median']:.2f} s an action"
-            )
-
-
 def _completed_starts(task: Task, dataset: Dataset, completer: str, sensor: str) -> dict[str, RigidState]:
     """What perception makes of the episodes' first views, from each of three places."""
     from pwm_gym.cameras.viewpoints import CAMERA_SCALE, VIEWPOINTS
@@ -209,59 +295,10 @@ def _completed_starts(task: Task, dataset: Dataset, completer: str, sensor: str)
     simulator = task.simulator()
     meshes = simulator.meshes()
     simulator.close()
-    made = build_completer(completer)
+    made, clouds = build_completer(completer), dataset.scene(dataset.episodes[0]).clouds
     starts = {}
     for name, camera in VIEWPOINTS.items():
         view = camera.resize(CAMERA_SCALE)
-        look = build_observer(task, dataset.layout, meshes, dataset.clouds, made, view, sensor)
+        look = build_observer(task, dataset.layout, meshes, clouds, made, view, sensor)
         starts[name] = completed_start(dataset, look)
     return starts
-
-
-def _floors(task: Task, dataset: Dataset) -> dict[str, Any]:
-    from pwm_gym.evaluation.floors import chaos_floor, sampling_floor
-    from pwm_gym.scene import sample_clouds
-
-    simulator = task.simulator()
-    fresh = sample_clouds(simulator.meshes(), task.layout, task.cloud_seed + 1000)
-    demonstrations = dataset.of_kinds(("expert", "randomised"))
-    floors = {
-        "sampling": sampling_floor(demonstrations, fresh),
-        "chaos": chaos_floor(simulator, task, demonstrations),
-    }
-    simulator.close()
-    return floors
-
-
-def _print(task: Task, rows: dict[str, Any], floors: dict[str, Any]) -> None:
-    """The table on the terminal: metres for Chamfer, millimetres for the object."""
-    splits = list(next(iter(rows.values())))
-    for split in splits:
-        episodes = next(iter(rows.values()))[split]["episodes"]
-        print(f"\n{task.name}, {split}: {episodes} test episodes")
-        header = f"{task.objects[0]} @10   @30   @60  median@60  last (mm)"
-        print(f"  {'model':16s} {'CD L1':>8s} {'entities':>9s} {'corr':>6s}   {header}")
-        for name, table in rows.items():
-            row = table[split]
-            position = row["entities"][task.objects[0]]["position_mm"]
-            cells = [f"{position[k]['mean']:5.1f}" if k in position else "    -" for k in ("10", "30", "60")]
-            middle = f"{position['60']['median']:5.1f}" if "60" in position else "    -"
-            print(
-                f"  {name:16s} {row['chamfer_l1']:8.4f} {row['chamfer_l1_entity_mean']:9.4f} "
-                f"{_number(row['reward_correlation'])}   {' ' * len(task.objects[0])} {' '.join(cells)}      {middle} "
-                f"     {position['last']['mean']:5.1f}"
-            )
-        ceiling = next(iter(rows.values()))[split]["reward_correlation_ceiling"]
-        print(f"  reward correlation on true clouds (ceiling): {_number(ceiling)}")
-    for name, floor in floors.items():
-        print(f"{name} floor: {floor}")
-
-
-def _spread(value: dict[str, float], digits: int = 4) -> str:
-    """Mean and, where there are several seeds, their standard deviation."""
-    spread = f" +- {value['spread']:.{digits}f}" if value["spread"] else ""
-    return f"{value['mean']:.{digits}f}{spread}"
-
-
-def _number(value: float | None) -> str:
-    return "     -" if value is None else f"{value:6.3f}"

@@ -45,6 +45,8 @@ class Plan:
     """Of completed clouds: a checkpoint's folder, "default" or "hull"."""
     sensor: str = "ideal"
     """Sensor model of that camera: ideal or d455."""
+    cost: str | None = None
+    """Registered cost, or "file.py:function"; None takes the task's planning cost."""
     caution: float = 0.0
     """Cost of a metre of expected error at a step."""
     workspace: tuple[float, float, float, float, float, float] | None = None
@@ -63,6 +65,7 @@ class Plan:
         import gymnasium as gym
 
         import pwm_gym  # noqa: F401  (registers)
+        from pwm_gym.commands.check_cost import find_cost
         from pwm_gym.dynamics import load_checkpoint, resolve
         from pwm_gym.envs import CameraConfig
         from pwm_gym.errors import unknown_name
@@ -79,7 +82,9 @@ class Plan:
         task = get_task(self.task)
         model = load_checkpoint(resolve(self.checkpoint, self.task)).model
         seeds = seed_range(self.seeds, self.episodes, self.offset)
-        agent = Agent(model, self.task, config, penalties=self._penalties(task), caution=self.caution)
+        cost = None if self.cost is None else find_cost(self.cost)
+        penalties = self._penalties(task)
+        agent = Agent(model, self.task, config, cost=cost, penalties=penalties, caution=self.caution)
         camera = CameraConfig(sensor=self.sensor, completer=self.completer)
         twin = f"pwm/{self.task}Sim-v0"
         settings: dict[str, Any] = {"observation": self.observation, "camera": camera}
@@ -90,7 +95,7 @@ class Plan:
         if self.save is not None:
             save_runs(runs, self.save)
         if self.json is not None:
-            names = ("planner", "chunk", "seeds", "observation", "completer", "sensor")
+            names = ("planner", "chunk", "seeds", "observation", "completer", "sensor", "cost")
             facts = {"settings": asdict(config), **{name: getattr(self, name) for name in names}}
             write_results(self.json, {**facts, **table})
 

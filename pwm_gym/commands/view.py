@@ -32,6 +32,8 @@ class View:
     """Folder of the pictures, which are named after the run."""
     rollout: bool = False
     """Whether to show one rollout from the first scene instead of what the planner predicted."""
+    strip: bool = False
+    """Whether to draw a strip, too: predicted over real at five instants."""
     checkpoint: str = "default"
     """Of that rollout: a folder or a shipped checkpoint's name."""
 
@@ -39,7 +41,7 @@ class View:
         """Write the PNG and the GIF, and print the run's facts."""
         from pwm_gym.dynamics import load_checkpoint, resolve
         from pwm_gym.planning import Agent, Run
-        from pwm_gym.viewer import write_gif, write_png
+        from pwm_gym.viewer import draw_overlays, write_gif, write_png
 
         run = Run.load(self.run_file)
         shown = _LOOKS.get(run.chunk, f"the model looks every {run.chunk} steps")
@@ -52,6 +54,10 @@ class View:
         print(f"seed {run.seed}: {'success' if run.success else 'failure'} after {run.steps} steps; {shown}")
         for suffix, write in ((".png", write_png), (".gif", write_gif)):
             print(write(record, self.out / f"{self.run_file.stem}{suffix}"))
+        if self.strip:
+            path = self.out / f"{self.run_file.stem}-strip.png"
+            draw_overlays([record], record.title).save(path)
+            print(path)
 
 
 def rolled_out(run: Run, agent: Agent) -> Run:

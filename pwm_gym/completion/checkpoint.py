@@ -2,21 +2,30 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import torch
 
 from pwm_gym.completion.network import CompletionConfig, CompletionNet
-from pwm_gym.errors import unknown_name
+from pwm_gym.errors import CheckpointError, unknown_name
 from pwm_gym.learning import load_weights, read_description, save_weights
+from pwm_gym.schema import convert
 
 __all__ = ["SHIPPED", "load_completion", "save_completion"]
 
 SHIPPED = Path(__file__).parent / "weights"
 """Folder of the network that comes with the package."""
 _FORMAT, _SCHEMA = "pwm_gym.completion", 1
+
+
+@dataclass(frozen=True)
+class _Description:
+    """What the description must hold."""
+
+    config: dict[str, Any]
+    training: dict[str, Any]
 
 
 def save_completion(folder: Path, net: CompletionNet, training: dict[str, Any], metrics: dict[str, Any]) -> None:
@@ -38,9 +47,12 @@ def load_completion(checkpoint: str | Path = "default") -> tuple[CompletionNet, 
     folder = SHIPPED if str(checkpoint) == "default" else Path(checkpoint)
     if not folder.is_dir():
         raise unknown_name("checkpoint of completion", str(checkpoint), ["default"])
-    description = read_description(folder, _FORMAT, _SCHEMA, {"config"})
-    sizes: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in description["config"].items()}
+    description = read_description(folder, _FORMAT, _SCHEMA, _Description)
+    config = convert(description["config"], CompletionConfig, CheckpointError, f"{folder}: config")
     with torch.random.fork_rng(devices=[]):  # fresh weights are drawn only to be replaced
-        net = CompletionNet(CompletionConfig(**sizes))
+        try:
+            net = CompletionNet(config)
+        except (RuntimeError, ValueError, TypeError, ArithmeticError, LookupError) as error:
+            raise CheckpointError(f"{folder}: its config describes no network ({error})") from error
     load_weights(net, folder)
     return net, description

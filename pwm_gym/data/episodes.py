@@ -18,6 +18,19 @@ KINDS = ("expert", "randomised", "practice", "on_policy")
 """Kinds of episodes: the expert's, the expert's up to a random switch, mixed segments, and a planner's."""
 
 _PER_EPISODE = ("goal", "kind", "seed", "switch")
+_DIMENSIONS = {
+    "poses": 3,
+    "joints": 3,
+    "actions": 2,
+    "rewards": 1,
+    "success": 1,
+    "grasped": 1,
+    "goal": 2,
+    "kind": 1,
+    "seed": 1,
+    "switch": 1,
+}
+"""Number of dimensions of each array of a shard."""
 
 
 FORMAT = "pwm_gym.episodes"
@@ -107,7 +120,10 @@ def _check(path: Path, arrays: dict[str, np.ndarray], header: _Header) -> None:
     for name, number in expected.items():
         if arrays[name].shape[:1] != (number,):
             raise DatasetError(f"{path}: {name} has shape {arrays[name].shape}; expected {number} rows")
-    if arrays["poses"].ndim != 3 or arrays["poses"].shape[2] != 7:
+        if arrays[name].ndim != _DIMENSIONS[name] or arrays[name].dtype.kind not in "fiub":
+            found = f"shape {arrays[name].shape} and type {arrays[name].dtype}"
+            raise DatasetError(f"{path}: {name} has {found}; expected {_DIMENSIONS[name]} dimensions of numbers")
+    if arrays["poses"].shape[2] != 7:
         raise DatasetError(f"{path}: poses have shape {arrays['poses'].shape}; expected (frames, entities, 7)")
     if len(header.assets) not in (0, count):
         raise DatasetError(f"{path} names assets of {len(header.assets)} episodes; expected {count}")

@@ -23,9 +23,20 @@ from pwm_gym.scene import SCHEMA, Layout
 __all__ = ["SHIPPED", "Checkpoint", "SceneBank", "load_checkpoint", "resolve", "save_checkpoint"]
 
 _FORMAT = "pwm_gym.checkpoint"
-_KEYS = {"tasks", "model", "config", "links", "control"}
+_NO_MODEL = (RuntimeError, ValueError, TypeError, ArithmeticError, LookupError, MemoryError, AttributeError)
 SHIPPED = Path(__file__).parent.parent / "checkpoints"
 """Folder of the checkpoints that come with the package, one a task."""
+
+
+@dataclass(frozen=True)
+class _Description:
+    """What a checkpoint's description must hold."""
+
+    tasks: list[str]
+    model: str
+    config: dict[str, Any]
+    links: Any
+    control: Any
 
 
 @dataclass(frozen=True)
@@ -94,6 +105,11 @@ def resolve(checkpoint: str | Path, task: str) -> Path:
     name = task if str(checkpoint) == "default" else str(checkpoint)
     if name in shipped:
         return shipped[name]
+    if own:
+        raise UnknownNameError(
+            f"no checkpoint of task {task!r} is shipped (shipped: {', '.join(sorted(shipped)) or 'none'}); train one "
+            f"with `pwm-gym collect --task {task}` and `pwm-gym train --data data-sets/{task}`, then pass its folder"
+        )
     path = Path(checkpoint)
     if not path.is_dir():
         raise unknown_name("checkpoint", str(checkpoint), [*shipped, "default"])
@@ -107,21 +123,17 @@ def load_checkpoint(folder: str | Path, device: str = "cpu") -> Checkpoint:
         CheckpointError: truncated, foreign, or of a newer schema.
     """
     folder = Path(folder)
-    description = read_description(folder, _FORMAT, SCHEMA, ())
-    if description.get("schema") == 1:
-        raise CheckpointError(
-            f"{folder} is a checkpoint of version 0.1, whose weights do not fit; "
-            "train it again from its data set, which loads as it is: pwm-gym train --data DATA"
-        )
-    if missing := _KEYS - description.keys():
-        raise CheckpointError(f"{folder}/config.json lacks {', '.join(sorted(missing))}")
+    description = read_description(folder, _FORMAT, SCHEMA, _Description)
     try:
         links = Layout.from_json(description["links"])
     except ValueError as error:
         raise CheckpointError(f"{folder}: {error}") from error
     control = Control.from_json(description["control"])
     with torch.random.fork_rng(devices=[]):  # fresh weights are drawn only to be replaced
-        model = build_model(description["model"], links, control, description["config"])
+        try:
+            model = build_model(description["model"], links, control, description["config"])
+        except _NO_MODEL as error:
+            raise CheckpointError(f"{folder}: its config.json describes no model ({error})") from error
     load_weights(model, folder)
     paths = sorted(folder.glob("scenes-*.npz"))
     banks = {bank.task: bank for bank in map(SceneBank.load, paths)}

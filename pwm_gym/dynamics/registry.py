@@ -16,6 +16,7 @@ from pwm_gym.dynamics.paper.model import PaperConfig, PaperModel, SmallPaperConf
 from pwm_gym.errors import CheckpointError, look_up, unknown_name
 from pwm_gym.robots import Control
 from pwm_gym.scene import Layout
+from pwm_gym.schema import convert
 
 __all__ = ["MODELS", "ModelKind", "build_model", "model_kind"]
 
@@ -65,8 +66,8 @@ def build_model(
     for key in values:
         if key not in known:
             raise CheckpointError(str(unknown_name(f"{name} setting", key, known)))
-    plain = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
-    return kind.build(layout, control, kind.config(**plain))
+    settings: Any = convert(values, kind.config, CheckpointError, f"{name} settings")
+    return kind.build(layout, control, settings)
 
 
 def config_of(model: Any) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -41,21 +41,21 @@ class _Mixed:
         self._left -= 1
         if self._wild:
             return self._rng.uniform(-1.0, 1.0, self._task.action_size).astype(np.float32)
-        return self._expert.act(simulator.poses(), simulator.goal())
+        return self._expert.act(simulator.poses(), simulator.goal(), simulator.assets())
 
     def done(self, success: bool) -> bool:
         return False
 
 
 def mixed_episodes(
-    simulator: Simulator, task: Task, clouds: np.ndarray, count: int = 20, steps: int = 300, progress: bool = True
+    simulator: Simulator, task: Task, dataset: Dataset, count: int = 20, steps: int = 300, progress: bool = True
 ) -> Dataset:
     """``count`` episodes of ``steps`` predicted steps, of test seeds that no data set takes.
 
     Args:
         simulator: of the task.
         task: the task.
-        clouds: canonical points (N, 3).
+        dataset: gives the objects' clouds.
         count: episodes.
         steps: steps after the observed ones.
         progress: whether to show a bar.
@@ -65,7 +65,7 @@ def mixed_episodes(
         record_episode(simulator, s, lambda s: _Mixed(task, np.random.default_rng([s, 7])), steps + OBSERVED - 1)
         for s in tqdm(seeds, disable=not progress, desc="long episodes", leave=False)
     ]
-    return Dataset(task.name, task.layout, clouds, tuple(episodes))
+    return replace(dataset, episodes=tuple(episodes))
 
 
 @dataclass(frozen=True)

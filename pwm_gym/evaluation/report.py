@@ -18,14 +18,22 @@ from pwm_gym.data.episodes import KINDS
 from pwm_gym.dynamics.model import WorldModel
 from pwm_gym.evaluation.calibration import calibration
 from pwm_gym.evaluation.metrics import chamfer, pearson
-from pwm_gym.evaluation.rollouts import OBSERVED, Rollouts, position_errors, predict, rotation_errors
+from pwm_gym.evaluation.onsets import onset_errors
+from pwm_gym.evaluation.rollouts import (
+    OBSERVED,
+    STEPS,
+    Rollouts,
+    at_steps,
+    joint_errors,
+    position_errors,
+    predict,
+    rotation_errors,
+)
 from pwm_gym.scene import RigidState, State
 from pwm_gym.tasks import Task
 
-__all__ = ["SPLITS", "STEPS", "evaluate_rollouts"]
+__all__ = ["SPLITS", "STEPS", "evaluate_rollouts", "onsets_by_split"]
 
-STEPS = (10, 30, 60)
-"""Rollout steps at which entity errors are reported."""
 SPLITS: dict[str, tuple[str, ...]] = {
     "all": ("expert", "randomised"),
     "expert": ("expert",),
@@ -76,6 +84,15 @@ def evaluate_rollouts(
         chosen = np.isin(kinds, wanted)
         if chosen.any():
             table[split] = _summary(rollouts, scores, chosen)
+    return table
+
+
+def onsets_by_split(model: WorldModel, dataset: Dataset) -> dict[str, Any]:
+    """Onset errors (:func:`~pwm_gym.evaluation.onsets.onset_errors`) of each of :data:`SPLITS` that has onsets."""
+    table = {}
+    for split, kinds in SPLITS.items():
+        if (told := onset_errors(model, dataset.of_kinds(kinds))) is not None:
+            table[split] = told
     return table
 
 
@@ -158,11 +175,13 @@ def _summary(rollouts: Rollouts, scores: _Scores, chosen: np.ndarray) -> dict[st
     }
     if (told := calibration(rollouts, chosen)) is not None:
         out["calibration"] = told
-    for i, name in enumerate(rollouts.states.layout.names):
-        out["entities"][name] = {
-            "position_mm": _at_steps(1e3 * position_errors(rollouts, i).numpy()[chosen], rollouts.lengths[chosen]),
-            "rotation_deg": _at_steps(rotation_errors(rollouts, i).numpy()[chosen], rollouts.lengths[chosen]),
-        }
+    for i, entity in enumerate(rollouts.dataset.layout):
+        errors = {"position_mm": 1e3 * position_errors(rollouts, i), "rotation_deg": rotation_errors(rollouts, i)}
+        if entity.articulated:
+            unit = "deg" if entity.joint.kind == "revolute" else "mm"
+            errors[f"joint_{unit}"] = joint_errors(rollouts, i)
+        lengths = rollouts.lengths[chosen]
+        out["entities"][entity.name] = {k: at_steps(v.numpy()[chosen], lengths) for k, v in errors.items()}
     return out
 
 
@@ -176,14 +195,3 @@ def _by_step(values: np.ndarray) -> dict[str, float]:
     """Mean of the measured steps (M, H), numbered from 1, as far as half of the episodes reach."""
     measured = np.isfinite(values).sum(0)
     return {str(h + 1): float(np.nanmean(values[:, h])) for h in np.flatnonzero(measured >= 0.5 * len(values))}
-
-
-def _at_steps(errors: np.ndarray, lengths: np.ndarray) -> dict[str, dict[str, float]]:
-    """Mean, median and count of errors (M, H) at :data:`STEPS` and at each episode's last step."""
-    columns = {str(k): errors[lengths >= k, k - 1] for k in STEPS if k <= errors.shape[1]}
-    columns["last"] = errors[np.arange(len(errors)), lengths - 1]
-    return {
-        k: {"mean": float(v.mean()), "median": float(np.median(v)), "episodes": len(v)}
-        for k, v in columns.items()
-        if len(v)
-    }

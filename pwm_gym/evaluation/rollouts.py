@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +14,7 @@ from pwm_gym.data.dataset import Dataset
 from pwm_gym.data.episodes import KINDS, Episode
 from pwm_gym.data.partial import partial_clouds
 from pwm_gym.dynamics.model import WorldModel
+from pwm_gym.evaluation.joints import joint_positions
 from pwm_gym.scene import PointState, RigidState, State, batch_state, stack
 from pwm_gym.scene.se3 import inverse, matrix_from_pose7, rotation_angle
 
@@ -21,8 +23,12 @@ if TYPE_CHECKING:
 
 __all__ = [
     "OBSERVED",
+    "STEPS",
     "Rollouts",
+    "at_steps",
+    "canonical_clouds",
     "completed_start",
+    "joint_errors",
     "long_rollouts",
     "observed_start",
     "predict",
@@ -31,6 +37,8 @@ __all__ = [
 
 OBSERVED = 3
 """Clouds that a model sees before it predicts."""
+STEPS = (10, 30, 60)
+"""Rollout steps at which entity errors are reported."""
 _CHUNK = 128  # episodes rolled out at once
 
 
@@ -64,7 +72,7 @@ class Rollouts:
         truth = self.truth[part]
         before = torch.cat([truth[:, :1], truth[:, :-1]], 1)
         earlier = torch.cat([before[:, :1], before[:, :-1]], 1)
-        clouds = torch.as_tensor(self.dataset.clouds).expand(*truth.shape[:2], -1, -1)
+        clouds = canonical_clouds(self.dataset, self.episodes[part]).unsqueeze(1).expand(-1, truth.shape[1], -1, -1)
         return RigidState(self.dataset.layout, clouds, torch.stack([truth, before, earlier], 2), self.joints[part])
 
 
@@ -116,12 +124,14 @@ def observed_start(dataset: Dataset, seen: np.ndarray | None = None) -> RigidSta
         seen: points (F, N) of each frame that a camera sees (:func:`pwm_gym.data.visibility`), from which a partial
             cloud is drawn; None takes the complete one.
     """
-    lengths, clouds = np.array([len(e) for e in dataset.episodes]), torch.as_tensor(dataset.clouds)
+    lengths = np.array([len(e) for e in dataset.episodes])
     long = lengths > OBSERVED - 1
     episodes = [e for e, kept in zip(dataset.episodes, long, strict=True) if kept]
-    layout, canonical = dataset.layout, clouds.expand(len(episodes), -1, -1)
+    layout, canonical = dataset.layout, canonical_clouds(dataset, episodes)
     if seen is not None:
         third = torch.as_tensor(seen[(np.cumsum(lengths + 1) - lengths - 1 + OBSERVED - 1)[long]])
+        one = bool((canonical == canonical[:1]).all())  # of all episodes
+        clouds = canonical[0] if one else canonical
         layout, canonical = partial_clouds(layout, clouds, third, torch.Generator().manual_seed(0))
     frames = torch.stack([_frames(e, 0) for e in episodes])  # (M, 3, E, 4, 4)
     joints = torch.stack([torch.as_tensor(e.joints[OBSERVED - 1]) for e in episodes])
@@ -141,6 +151,27 @@ def completed_start(dataset: Dataset, look: RenderedObserver) -> RigidState:
             look.reset(index)
             scenes.append([look(dataset.scene(episode, step)).scene for step in range(OBSERVED)][-1])
     return batch_state(scenes)
+
+
+def canonical_clouds(dataset: Dataset, episodes: Sequence[Episode]) -> Tensor:
+    """Canonical points (M, N, 3) of episodes, whose objects may differ."""
+    return torch.as_tensor(np.stack([dataset.scene(e).clouds for e in episodes]), dtype=torch.float32)
+
+
+def at_steps(errors: np.ndarray, lengths: np.ndarray) -> dict[str, dict[str, float]]:
+    """Mean, median and count of errors (M, H) at :data:`STEPS` and at each episode's last step.
+
+    Args:
+        errors: after each rollout step, which count from 1.
+        lengths: steps of each episode (M,); those that are too short for a step are left out.
+    """
+    columns = {str(k): errors[lengths >= k, k - 1] for k in STEPS if k <= errors.shape[1]}
+    columns["last"] = errors[np.arange(len(errors)), lengths - 1]
+    return {
+        k: {"mean": float(v.mean()), "median": float(np.median(v)), "episodes": len(v)}
+        for k, v in columns.items()
+        if len(v)
+    }
 
 
 def _frames(episode: Episode, horizon: int) -> Tensor:
@@ -206,6 +237,21 @@ def rotation_errors(rollouts: Rollouts, entity: int) -> Tensor:
     """Angle (M, H) in degrees between predicted and true orientation of an entity; NaN past an episode's end."""
     angle = rotation_angle(rollouts.poses[:, :, entity, :3, :3], rollouts.truth[:, :, entity, :3, :3])
     return torch.rad2deg(angle).masked_fill(~rollouts.mask, torch.nan)
+
+
+def joint_errors(rollouts: Rollouts, entity: int) -> Tensor:
+    """Distance (M, H) in millimetres, or degrees, between predicted and true position of an articulated entity's joint.
+
+    NaN past an episode's end.
+    """
+    layout = rollouts.dataset.layout
+    told, true = (joint_positions(layout, poses, entity) for poses in (rollouts.poses, rollouts.truth))
+    gap = told - true
+    if layout.entities[entity].joint.kind == "revolute":
+        gap = torch.rad2deg(torch.remainder(gap + torch.pi, 2 * torch.pi) - torch.pi)
+    else:
+        gap = 1e3 * gap
+    return gap.abs().masked_fill(~rollouts.mask, torch.nan)
 
 
 @torch.no_grad()

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +18,8 @@ from pwm_gym.data.partial import PartialView
 from pwm_gym.dynamics import WorldModel, load_checkpoint, resolve
 from pwm_gym.errors import look_up
 from pwm_gym.evaluation.planning import load_runs, planning_table, run_episodes, save_runs
-from pwm_gym.evaluation.record import describe_commit
+from pwm_gym.experiments.pieces import Piece, run_pieces
 from pwm_gym.experiments.tables import row_folder, trained
-from pwm_gym.files import write_atomically
 from pwm_gym.planning import Agent, Run, SamplingConfig, get_planner_config
 from pwm_gym.scene import Scene
 from pwm_gym.seeds import seed_range
@@ -28,7 +27,7 @@ from pwm_gym.sim.model import SimulatorModel
 from pwm_gym.tasks import Task, get_task
 from pwm_gym.training import fit_baseline
 
-__all__ = ["CHUNKS", "PLANNING_TABLES", "Member", "PlanningTable", "run_planning_table"]
+__all__ = ["CHUNKS", "PLANNING_TABLES", "Member", "PlanningTable", "digest", "run_planning_table"]
 
 CHUNKS = {"closed loop": 1, "chunks of 20": 20, "chunks of 50": 50, "open loop": 0}
 """Name -> actions between two looks; 0 looks once."""
@@ -58,6 +57,8 @@ class Member:
     """What the environment shows: "complete" clouds, or ones "completed" from a camera's depth."""
     sensor: str = "ideal"
     """Sensor model of that camera."""
+    episodes: int | None = None
+    """Episodes that it plans; None takes the table's."""
 
     @property
     def config(self) -> SamplingConfig:
@@ -69,6 +70,12 @@ class Member:
     def max_steps(self) -> int:
         """Actions of an episode at most."""
         return _SLOW_MAX_STEPS if self.slow else _MAX_STEPS
+
+    def count(self, full: bool) -> int:
+        """Episodes that it plans; ``full`` takes more of them where it is fast."""
+        if self.episodes is not None:
+            return self.episodes
+        return _SLOW_EPISODES if self.slow else _FULL_EPISODES if full else _EPISODES
 
 
 @dataclass(frozen=True)
@@ -89,29 +96,47 @@ class PlanningTable:
         return tuple(look_up("member of the table", name, known) for name in names) if names else self.members
 
 
+_POINTS: dict[str, Any] = {"kind": "row", "slow": True, "samples": 32}
 _MODELS = (
-    Member("compact (default)", "checkpoint", "default"),
-    Member("3DPWM, paper-small", "row", "3DPWM, paper-small", slow=True, samples=32),
-    Member("ParticleFormer+", "row", "ParticleFormer+", slow=True, samples=32, partial=True),
-    Member("Partial 3DPWM", "row", "Partial 3DPWM", slow=True, samples=32, partial=True),
-    Member("linear response, no learning", "baseline", "linear"),
-    Member("the simulator itself", "simulator", "", slow=True),
+    Member(name="compact (default)", kind="checkpoint", source="default"),
+    Member(name="3DPWM, paper-small", source="3DPWM, paper-small", **_POINTS),
+    Member(name="ParticleFormer+", source="ParticleFormer+", partial=True, **_POINTS),
+    Member(name="Partial 3DPWM", source="Partial 3DPWM", partial=True, **_POINTS),
+    Member(name="linear response, no learning", kind="baseline", source="linear"),
+    Member(name="the simulator itself", kind="simulator", source="", slow=True),
 )
+_PROTOCOL: dict[str, Any] = {"planner": "mppi-paper", "episodes": 20}
+_PAPER = (
+    Member(name="compact (default)", kind="checkpoint", source="default", **_PROTOCOL),
+    Member(name="3DPWM, paper-small", kind="row", source="3DPWM, paper-small", **_PROTOCOL),
+    Member(name="ParticleFormer+", kind="row", source="ParticleFormer+", partial=True, **_PROTOCOL),
+    Member(name="Partial 3DPWM", kind="row", source="Partial 3DPWM", partial=True, **_PROTOCOL),
+    Member(name="linear response, no learning", kind="baseline", source="linear", **_PROTOCOL),
+)
+_DEFAULT: dict[str, Any] = {"kind": "checkpoint", "source": "default"}
 _PLANNERS = {"MPPI": "mppi", "CEM": "cem", "iCEM": "icem", "gradient": "gradient"}
 
 PLANNING_TABLES: dict[str, PlanningTable] = {
     "planning": PlanningTable("Planning success in the simulator (paper, section 4.2)", _MODELS),
+    "planning-paper": PlanningTable(
+        "Planning by the paper's own protocol: MPPI of 200 samples, horizon 10, sigma 5, 20 runs",
+        _PAPER,
+        modes=("closed loop", "open loop"),
+    ),
     "planners": PlanningTable(
         "Planners, all in the default model",
-        tuple(Member(name, "checkpoint", "default", planner=planner) for name, planner in _PLANNERS.items()),
+        tuple(
+            Member(name=name, kind="checkpoint", source="default", planner=planner)
+            for name, planner in _PLANNERS.items()
+        ),
         modes=("closed loop", "open loop"),
     ),
     "completed": PlanningTable(
         "Planning from what a camera sees, in the default model",
         (
-            Member("complete clouds", "checkpoint", "default"),
-            Member("completed from ideal depth", "checkpoint", "default", observation="completed"),
-            Member("completed from a D455's depth", "checkpoint", "default", observation="completed", sensor="d455"),
+            Member(name="complete clouds", **_DEFAULT),
+            Member(name="completed from ideal depth", observation="completed", **_DEFAULT),
+            Member(name="completed from a D455's depth", observation="completed", sensor="d455", **_DEFAULT),
         ),
         modes=("closed loop", "chunks of 20"),
     ),
@@ -128,12 +153,12 @@ def run_planning_table(
     members: Sequence[str] = (),
     draw: Callable[[str, str, Sequence[Run]], str] | None = None,
 ) -> dict[str, Any]:
-    """Plan with every member in every mode; what is there already is kept.
+    """Plan with every member in every mode; what is there already is kept, and progress is printed.
 
     Args:
         table: what to plan with.
         data: a data set, for the baseline's fit and for members that are not trained yet.
-        out: folder of the pieces, as of :func:`pwm_gym.evaluation.run_table`.
+        out: folder of the pieces, as of :func:`pwm_gym.experiments.run_table`.
         task: registered task.
         full: whether the fast members plan 100 episodes instead of 20.
         members: names of rows; none given takes all.
@@ -142,57 +167,64 @@ def run_planning_table(
     Raises:
         UnknownNameError: the table has no such member.
     """
-    rows, commit = [], describe_commit()  # of the code that is loaded, which may change on disk meanwhile
-    for member in table.choose(members):
-        model: WorldModel | None = None
-        modes = {}
-        for mode in table.modes:
-            chunk = CHUNKS[mode] if CHUNKS[mode] < member.max_steps else 0  # never looks again
-            episodes = _SLOW_EPISODES if member.slow else _FULL_EPISODES if full else _EPISODES
-            path = _path(out, task, member, data, chunk, episodes)
-            if not path.exists():
-                model = model or _model(member, data, out, get_task(task))
-                planned = _plan(model, member, get_task(task), chunk, episodes, path.with_suffix(""))
-                result = {"commit": commit, "threads": torch.get_num_threads(), **planned}
-                write_atomically(path, json.dumps(result, default=float).encode())
-            modes[mode] = json.loads(path.read_text())
-            if draw is not None and modes[mode]["failed_seeds"]:
-                failed = load_runs(modes[mode]["failed_seeds"], path.with_suffix(""))
-                modes[mode]["picture"] = draw(member.name, mode, failed)
-        config = member.config
-        row = {
-            "row": member.name,
-            "partial": member.partial,
-            "planner": member.planner,
-            "samples": config.samples,
-            "iterations": config.iterations,
-            "max_steps": member.max_steps,
-            "horizon": config.horizon,
-            "modes": modes,
-        }
-        rows.append(row)
+    chosen = table.choose(members)
+    pieces = {(m.name, mode): _piece(m, mode, data, out, task, full) for m in chosen for mode in table.modes}
+    results = dict(zip(pieces, run_pieces(list(pieces.values())), strict=True))
+    for (name, mode), result in results.items():
+        if draw is not None and result["failed_seeds"]:
+            failed = load_runs(result["failed_seeds"], pieces[name, mode].folder)
+            result["picture"] = draw(name, mode, failed)
+    rows = [_row(member, {mode: results[member.name, mode] for mode in table.modes}) for member in chosen]
     return {"caption": table.caption, "rows": rows}
 
 
-def _path(out: Path, task: str, member: Member, data: Path, chunk: int, episodes: int) -> Path:
-    """File of one member's result in one mode, named after all that decides it, so that tables share equal ones."""
+def _row(member: Member, modes: dict[str, Any]) -> dict[str, Any]:
+    config = member.config
+    return {
+        "row": member.name,
+        "partial": member.partial,
+        "planner": member.planner,
+        "samples": config.samples,
+        "iterations": config.iterations,
+        "max_steps": member.max_steps,
+        "horizon": config.horizon,
+        "modes": modes,
+    }
+
+
+def _piece(member: Member, mode: str, data: Path, out: Path, task: str, full: bool) -> Piece:
+    """One member in one mode, named after all that decides its result, so that tables share equal ones."""
+    chunk = CHUNKS[mode] if CHUNKS[mode] < member.max_steps else 0  # never looks again
+    episodes = member.count(full)
     source = str(data)
     if member.kind == "checkpoint":
-        source = _digest(resolve(member.source, task))
+        source = digest(resolve(member.source, task))
     elif member.kind == "row":
         source = row_folder("rollout", member.source, data, out, task).name
     if member.observation == "completed":
-        source += _digest(SHIPPED)
-    recipe = repr((task, replace(member, name=""), source, chunk, episodes, member.config, member.max_steps))
-    return out / f"planning-{hashlib.sha256(recipe.encode()).hexdigest()[:12]}.json"
+        source += digest(SHIPPED)
+    recipe = (task, replace(member, name=""), source, chunk, episodes, member.config, member.max_steps)
+    make = partial(_planned, member, data, out, task, chunk, episodes)
+    return Piece(f"{member.name}, {mode}", "planning", repr(recipe), out, make)
 
 
-def _digest(checkpoint: Path) -> str:
+def _planned(
+    member: Member, data: Path, out: Path, task: str, chunk: int, episodes: int, folder: Path
+) -> dict[str, Any]:
+    """Plan with one member in one mode."""
+    model = _model(member, data, out, get_task(task).name)
+    return {"threads": torch.get_num_threads(), **_plan(model, member, get_task(task), chunk, episodes, folder)}
+
+
+def digest(checkpoint: Path) -> str:
+    """Hash of a checkpoint's weights."""
     return hashlib.sha256((checkpoint / "model.safetensors").read_bytes()).hexdigest()
 
 
-def _model(member: Member, data: Path, out: Path, task: Task) -> WorldModel:
+@lru_cache(maxsize=1)  # the modes of a member follow each other
+def _model(member: Member, data: Path, out: Path, task_name: str) -> WorldModel:
     """The member's model, trained where it is not yet."""
+    task = get_task(task_name)
     if member.kind == "checkpoint":
         return load_checkpoint(resolve(member.source, task.name)).model
     if member.kind == "row":

@@ -7,11 +7,9 @@ it was.
 
 from __future__ import annotations
 
-import hashlib
-import json
-import multiprocessing as mp
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,10 +21,9 @@ from pwm_gym.data.partial import visible_split
 from pwm_gym.dynamics import WorldModel, load_checkpoint
 from pwm_gym.errors import look_up
 from pwm_gym.evaluation.planning import planning_table, run_episodes
-from pwm_gym.evaluation.record import describe_commit
 from pwm_gym.evaluation.report import evaluate_rollouts
 from pwm_gym.evaluation.rollouts import observed_start
-from pwm_gym.files import write_atomically
+from pwm_gym.experiments.pieces import Piece, run_pieces
 from pwm_gym.planning import Agent
 from pwm_gym.process import prepare_process
 from pwm_gym.seeds import seed_range
@@ -34,7 +31,7 @@ from pwm_gym.tasks import Task, get_task
 from pwm_gym.training import FitConfig, fit
 from pwm_gym.training.losses import TrainConfig
 
-__all__ = ["TABLES", "Row", "Table", "row_folder", "run_table", "trained"]
+__all__ = ["TABLES", "Row", "Table", "plan_episodes", "row_folder", "run_table", "trained"]
 
 _ABLATION = 500_000  # sample-steps: about ten minutes of the default model on one core
 _HEADLINE = 50_000  # twenty minutes to an hour of a network of points on one core
@@ -85,30 +82,64 @@ _STEPPED = ((1, 0.4), (3, 0.3), (5, 0.3))
 _LONG = _budget(_HEADLINE, 32, *_STEPPED, **_POINTS)
 _HYBRID = replace(_LONG, loss="hybrid")
 _SEEDS = (0, 1, 2)
-_SEES = {"rigid": False}
-_PLUS = {**_SEES, "entity_features": True}
+_POINTWISE = {"rigid": False}
 
 TABLES: dict[str, Table] = {
     "rollout": Table(
         "Rollouts of the test split (paper, Table 1)",
         (
-            Row("3DPWM, compact", seeds=_SEEDS, training=_budget(_HEADLINE, 32, *_GROWING), paper="0.009 / 0.86"),
-            Row("3DPWM, paper-small", "paper-small", {}, training=_LONG, seeds=_SEEDS, paper="0.009 / 0.86"),
-            Row("ParticleFormer+", "paper-small", _PLUS, "partial", _HYBRID, seeds=_SEEDS, paper="0.080 / 0.61"),
-            Row("Partial 3DPWM", "paper-small", _SEES, "partial", _HYBRID, seeds=_SEEDS, paper="0.085 / 0.57"),
+            Row(
+                name="3DPWM, compact",
+                training=_budget(_HEADLINE, 32, *_GROWING),
+                seeds=_SEEDS,
+                paper="0.009 / 0.86",
+            ),
+            Row(
+                name="3DPWM, paper-small",
+                model="paper-small",
+                settings={},
+                training=_LONG,
+                seeds=_SEEDS,
+                paper="0.009 / 0.86",
+            ),
+            Row(
+                name="ParticleFormer+",
+                model="paper-small",
+                settings={**_POINTWISE, "entity_features": True},
+                view="partial",
+                training=_HYBRID,
+                seeds=_SEEDS,
+                paper="0.080 / 0.61",
+            ),
+            Row(
+                name="Partial 3DPWM",
+                model="paper-small",
+                settings=_POINTWISE,
+                view="partial",
+                training=_HYBRID,
+                seeds=_SEEDS,
+                paper="0.085 / 0.57",
+            ),
         ),
     ),
     "baselines": Table(
         "Other learned baselines (paper, appendix)",
         (
-            Row("GBND", "gbnd", {}, "partial", _HYBRID, paper="0.185 / 0.37"),
-            Row("ParticleFormer*", "particleformer", {}, "partial", _HYBRID, paper="0.132 / 0.41"),
+            Row(name="GBND", model="gbnd", settings={}, view="partial", training=_HYBRID, paper="0.185 / 0.37"),
+            Row(
+                name="ParticleFormer*",
+                model="particleformer",
+                settings={},
+                view="partial",
+                training=_HYBRID,
+                paper="0.132 / 0.41",
+            ),
         ),
     ),
     "register": Table(
         "Register tokens (paper, Table 2)",
         tuple(
-            Row(f"{n} register tokens", settings={**_CERTAIN, "registers": n}, training=_QUICK, paper=figure)
+            Row(name=f"{n} register tokens", settings={**_CERTAIN, "registers": n}, training=_QUICK, paper=figure)
             for n, figure in ((0, "0.013"), (1, "0.009"), (2, "0.009"))
         ),
     ),
@@ -116,34 +147,34 @@ TABLES: dict[str, Table] = {
         "Supervision horizon (paper, Table 3)",
         (
             *(
-                Row(f"H = {h}", training=_budget(_ABLATION, 256, (h, 1.0)), paper=figure)
+                Row(name=f"H = {h}", training=_budget(_ABLATION, 256, (h, 1.0)), paper=figure)
                 for h, figure in ((1, ""), (3, "0.068"), (5, "0.038"), (10, "0.021"), (15, "0.009"))
             ),
-            Row("H = 1, 5, 15 growing", training=_QUICK),
+            Row(name="H = 1, 5, 15 growing", training=_QUICK),
         ),
     ),
     "data": Table(
         "Training data",
         (
-            Row("all episodes of all kinds", training=_QUICK, plan=20),
-            Row("no random switches", training=_QUICK, kinds=("expert", "practice"), plan=20),
-            Row("demonstrations alone", training=_QUICK, kinds=("expert", "randomised"), plan=20),
-            Row("demonstrations without random switches", training=_QUICK, kinds=("expert",), plan=20),
-            *(Row(f"{n} episodes of all kinds", training=_QUICK, episodes=n) for n in (1000, 300, 100)),
+            Row(name="all episodes of all kinds", training=_QUICK, plan=20),
+            Row(name="no random switches", training=_QUICK, kinds=("expert", "practice"), plan=20),
+            Row(name="demonstrations alone", training=_QUICK, kinds=("expert", "randomised"), plan=20),
+            Row(name="demonstrations without random switches", training=_QUICK, kinds=("expert",), plan=20),
+            *(Row(name=f"{n} episodes of all kinds", training=_QUICK, episodes=n) for n in (1000, 300, 100)),
         ),
     ),
     "head": Table(
         "What a network of points predicts",
         (
-            Row("each entity's rigid motion", "paper-small", {}, training=_LONG),
-            Row("each point's velocity", "paper-small", _SEES, training=_LONG),
+            Row(name="each entity's rigid motion", model="paper-small", settings={}, training=_LONG),
+            Row(name="each point's velocity", model="paper-small", settings=_POINTWISE, training=_LONG),
         ),
     ),
     "arm": Table(
         "What the model knows of the arm",
         (
-            Row("joints, kinematics and controller", training=_QUICK),
-            Row("the hand's motion alone", settings={**_CERTAIN, "kinematic": False}, training=_QUICK),
+            Row(name="joints, kinematics and controller", training=_QUICK),
+            Row(name="the hand's motion alone", settings={**_CERTAIN, "kinematic": False}, training=_QUICK),
         ),
     ),
 }
@@ -151,7 +182,7 @@ TABLES: dict[str, Table] = {
 
 
 def run_table(name: str, data: Path, out: Path, task: str = "PickCube", workers: int = 1) -> dict[str, Any]:
-    """Train and evaluate what is still missing of a table, and return its rows.
+    """Train and evaluate what is still missing of a table, and return its rows; progress is printed.
 
     Args:
         name: of the table.
@@ -164,58 +195,31 @@ def run_table(name: str, data: Path, out: Path, task: str = "PickCube", workers:
         UnknownNameError: no table has this name.
     """
     table = look_up("table", name, TABLES)
-    commit = describe_commit()  # of the code that is loaded, which may change on disk meanwhile
-    pieces = [_Piece(row, seed, data, out, task, commit) for row in table.rows for seed in row.seeds]
-    missing = [p for p in pieces if not p.result.exists()]
-    if any(p.row.view == "partial" for p in missing):  # before several processes want it
-        for split in ("train", "validation", "test"):
+    pieces = [_piece(row, seed, data, out, task) for row in table.rows for seed in row.seeds]
+    if any(row.view == "partial" for row in table.rows) and not all(p.result.exists() for p in pieces):
+        for split in ("train", "validation", "test"):  # before several processes want it
             visible_split(data, split, get_task(task))
-    if workers <= 1 or len(missing) <= 1:
-        for piece in missing:
-            _run(piece)
-    else:
-        with mp.get_context("spawn").Pool(min(workers, len(missing))) as pool:
-            for _ in pool.imap_unordered(_run, missing):
-                pass
-    rows = []
-    for row in table.rows:
-        results = [json.loads(p.result.read_text()) for p in pieces if p.row is row]
-        rows.append(_joined(row, results, get_task(task).objects[0]))
+    results = iter(run_pieces(pieces, workers))
+    rows = [_joined(row, [next(results) for _ in row.seeds], get_task(task).objects) for row in table.rows]
     return {"caption": table.caption, "rows": rows}
 
 
-@dataclass(frozen=True)
-class _Piece:
-    row: Row
-    seed: int
-    data: Path
-    out: Path
-    task: str
-    commit: str | None
-
-    @property
-    def folder(self) -> Path:
-        """Named after all that decides the result, so that tables share equal pieces and changed ones are new."""
-        row = self.row
-        recipe = repr(
-            (
-                self.task,
-                str(self.data),
-                row.model,
-                sorted(row.settings.items()),
-                row.view,
-                row.training.describe(),
-                row.episodes,
-                row.kinds,
-                row.plan,
-                self.seed,
-            )
-        )
-        return self.out / f"{row.model}-{hashlib.sha256(recipe.encode()).hexdigest()[:12]}"
-
-    @property
-    def result(self) -> Path:
-        return self.folder / "result.json"
+def _piece(row: Row, seed: int, data: Path, out: Path, task: str) -> Piece:
+    """One row and seed."""
+    recipe = (
+        task,
+        str(data),
+        row.model,
+        sorted(row.settings.items()),
+        row.view,
+        row.training.describe(),
+        row.episodes,
+        row.kinds,
+        row.plan,
+        seed,
+    )
+    make = partial(_evaluated, row, seed, data, task)
+    return Piece(f"{row.name}, seed {seed}", row.model, repr(recipe), out, make)
 
 
 def trained(table: str, row: str, data: Path, out: Path, task: str) -> Path:
@@ -228,26 +232,26 @@ def trained(table: str, row: str, data: Path, out: Path, task: str) -> Path:
         out: folder of the pieces.
         task: registered task.
     """
-    return _fit(_first_piece(table, row, data, out, task))
+    found = _row(table, row)
+    return _fit(found, found.seeds[0], data, task, row_folder(table, row, data, out, task))
 
 
 def row_folder(table: str, row: str, data: Path, out: Path, task: str) -> Path:
     """Folder of a table's row (its first seed), named after all that decides it. Arguments as of :func:`trained`."""
-    return _first_piece(table, row, data, out, task).folder
+    found = _row(table, row)
+    return _piece(found, found.seeds[0], data, out, task).folder
 
 
-def _first_piece(table: str, row: str, data: Path, out: Path, task: str) -> _Piece:
-    found = next(r for r in TABLES[table].rows if r.name == row)
-    return _Piece(found, found.seeds[0], data, out, task, describe_commit())
+def _row(table: str, row: str) -> Row:
+    return look_up("row of the table", row, {r.name: r for r in TABLES[table].rows})
 
 
-def _fit(piece: _Piece) -> Path:
-    """Train one piece, and return its checkpoint."""
-    row = piece.row
+def _fit(row: Row, seed: int, data: Path, task: str, folder: Path) -> Path:
+    """Train one row with one seed, and return its checkpoint."""
     config = FitConfig(
-        task=piece.task,
-        data=(piece.data,),
-        out=piece.folder,
+        task=task,
+        data=(data,),
+        out=folder,
         model=row.model,
         settings=dict(row.settings),
         view=row.view,
@@ -255,52 +259,53 @@ def _fit(piece: _Piece) -> Path:
         kinds=row.kinds,
     )
     # Nothing is chosen by a row's validation, and a network of points takes minutes for it.
-    return fit(config, replace(row.training, seed=piece.seed), lambda *_: {}, progress=False)
+    return fit(config, replace(row.training, seed=seed), lambda *_: {}, progress=False)
 
 
-def _run(piece: _Piece) -> None:
-    """Train and evaluate one piece."""
+def _evaluated(row: Row, seed: int, data: Path, task_name: str, folder: Path) -> dict[str, Any]:
+    """Train and evaluate one row with one seed."""
     prepare_process(threads=1)
-    row, task = piece.row, get_task(piece.task)
-    checkpoint = load_checkpoint(_fit(piece))
+    task = get_task(task_name)
+    checkpoint = load_checkpoint(_fit(row, seed, data, task_name, folder))
     model, training = checkpoint.model, checkpoint.description["training"]
-    test = load_split(piece.data, "test", piece.task)
+    test = load_split(data, "test", task_name)
     start = None
     if row.view == "partial":
-        start = observed_start(test, visible_split(piece.data, "test", task, test))
-    table = evaluate_rollouts(model, task, test, every=10, progress=False, start=start)
-    result = {
-        "commit": piece.commit,
-        "seed": piece.seed,
+        start = observed_start(test, visible_split(data, "test", task, test))
+    return {
+        "seed": seed,
         "cpu_minutes": training["cpu_minutes_a_process"],
         "sample_steps": sum(h * steps * batch for h, steps, batch in row.training.phases),
         "episodes": sum(training["data"]["episodes"].values()),
         "parameters": sum(p.numel() for p in model.parameters()),  # type: ignore[attr-defined]
-        "splits": table,
-        "planning": _planning(model, task, row.plan) if row.plan else None,
+        "splits": evaluate_rollouts(model, task, test, every=10, progress=False, start=start),
+        "planning": plan_episodes(model, task, row.plan) if row.plan else None,
     }
-    write_atomically(piece.result, json.dumps(result, default=float).encode())
 
 
-def _planning(model: WorldModel, task: Task, episodes: int) -> dict[str, Any]:
+def plan_episodes(model: WorldModel, task: Task, episodes: int) -> dict[str, Any]:
     """Closed-loop planning of the test seeds in the simulator."""
     with gym.make(f"pwm/{task.name}Sim-v0") as env:
-        runs = run_episodes(env, Agent(model, task.name), seed_range("plan_test", episodes), progress=False)
+        seeds, most = seed_range("plan_test", episodes), task.max_episode_steps
+        runs = run_episodes(env, Agent(model, task.name), seeds, most, progress=False)
     return planning_table(runs)
 
 
-def _joined(row: Row, runs: list[dict[str, Any]], moved: str) -> dict[str, Any]:
-    """Mean and spread over the seeds of a row; ``moved`` is the object whose error counts."""
+def _joined(row: Row, runs: list[dict[str, Any]], objects: Sequence[str]) -> dict[str, Any]:
+    """Mean and spread over the seeds of a row, with the errors of each of the ``objects``."""
     splits = {}
     for split in runs[0]["splits"]:
         values = {
             "chamfer_l1": [r["splits"][split]["chamfer_l1"] for r in runs],
+            "chamfer_l1_entity_mean": [r["splits"][split]["chamfer_l1_entity_mean"] for r in runs],
             "reward_correlation": [r["splits"][split]["reward_correlation"] for r in runs],
         }
-        errors = [r["splits"][split]["entities"][moved]["position_mm"] for r in runs]
-        if all("60" in e for e in errors):
-            values[f"{moved}_at_60_mm"] = [e["60"]["mean"] for e in errors]
-        splits[split] = {k: {"mean": float(np.mean(v)), "spread": float(np.std(v))} for k, v in values.items()}
+        for moved in objects:
+            errors = [r["splits"][split]["entities"][moved]["position_mm"] for r in runs]
+            if all("60" in e for e in errors):
+                values[f"{moved}_at_60_mm"] = [e["60"]["mean"] for e in errors]
+        known = {k: [x for x in v if x is not None] for k, v in values.items()}
+        splits[split] = {k: {"mean": float(np.mean(v)), "spread": float(np.std(v))} for k, v in known.items() if v}
     return {
         "row": row.name,
         "paper, other data": row.paper,

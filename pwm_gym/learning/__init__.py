@@ -1,7 +1,7 @@
 """What every training shares: the loop, the optimisers and the files of weights. Knows nothing of what is trained."""
 
 from pwm_gym.learning.clock import Clock
-from pwm_gym.learning.loop import LoopConfig, has_state, leads, run_training
+from pwm_gym.learning.loop import LoopConfig, has_state, is_main_process, run_training
 from pwm_gym.learning.optimizers import Optimizer, build_optimizer
 from pwm_gym.learning.weights import load_weights, read_description, save_weights
 
@@ -11,7 +11,7 @@ __all__ = [
     "Optimizer",
     "build_optimizer",
     "has_state",
-    "leads",
+    "is_main_process",
     "load_weights",
     "read_description",
     "run_training",

@@ -6,6 +6,7 @@ same result. Several processes (``torchrun``) share the work through PyTorch's D
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
@@ -17,14 +18,14 @@ import torch.distributed as dist
 from torch import nn
 from tqdm import tqdm
 
-from pwm_gym.errors import CheckpointError, unknown_name
+from pwm_gym.errors import CheckpointError, PwmGymError, unknown_name
 from pwm_gym.learning.clock import Clock
 from pwm_gym.learning.optimizers import build_optimizer
 
-__all__ = ["Draw", "LoopConfig", "has_state", "leads", "run_training"]
+__all__ = ["Draw", "LoopConfig", "has_state", "is_main_process", "run_training"]
 
 _STATE = "training-state.pt"
-_KEYS = {"config", "model", "optimizer", "average", "step", "spent"}  # of the state
+_KEYS = {"config", "model", "optimizer", "ema", "step", "spent"}  # of the state
 
 Draw = Callable[[torch.Generator, int, int], Any]
 """(generator, step, processes) -> this process's batch, which has ``to(device)``."""
@@ -32,6 +33,7 @@ Draw = Callable[[torch.Generator, int, int], Any]
 
 _OPTIMIZERS = ("muon", "adamw")
 _SCHEDULES = ("cosine", "step")
+_TORCHRUN = ("RANK", "WORLD_SIZE", "MASTER_ADDR")
 
 
 @dataclass(frozen=True)
@@ -60,8 +62,8 @@ class LoopConfig:
     """Optimiser steps that StepLR counts as one epoch."""
     gradient_clip: float = 1.0
     """Largest gradient norm."""
-    average: float = 0.998
-    """Decay of the weights' moving average, which is what is saved; 0 saves the last weights."""
+    ema_decay: float = 0.998
+    """Decay of the weights' exponential moving average, which is what is saved; 0 saves the last weights."""
     seed: int = 0
     """Initial weights and batches."""
     threads: int = 2
@@ -84,13 +86,18 @@ class LoopConfig:
         """Optimiser steps in all."""
         return sum(steps for _, steps, _ in self.phases)
 
+    def phase_index(self, step: int) -> int:
+        """Place in ``phases`` of the one that ``step`` is in; steps past the end belong to the last."""
+        for index, (_, steps, _) in enumerate(self.phases):
+            if step < steps:
+                return index
+            step -= steps
+        return len(self.phases) - 1
+
     def phase(self, step: int) -> tuple[int, int]:
         """(extent, batch size) at ``step``."""
-        for extent, steps, batch in self.phases:
-            if step < steps:
-                return extent, batch
-            step -= steps
-        return self.phases[-1][0], self.phases[-1][2]
+        extent, _, batch = self.phases[self.phase_index(step)]
+        return extent, batch
 
     def describe(self) -> str:
         """All settings, in an order that does not depend on the code's."""
@@ -124,7 +131,7 @@ def run_training(
     torch.set_num_threads(config.threads)
     run = _Run(model.to(config.device), loss, config, folder, clock or Clock())
     metrics: dict[str, float] = {}
-    with tqdm(total=config.steps, initial=run.step, disable=not (progress and run.leads), desc="train") as bar:
+    with tqdm(total=config.steps, initial=run.step, disable=not (progress and run.is_main), desc="train") as bar:
         while run.step < config.steps:
             value = run.update(draw)
             bar.update()
@@ -139,9 +146,32 @@ def run_training(
     return metrics
 
 
-def leads() -> bool:
-    """Whether this is the first of the processes that train together: it alone validates and writes."""
-    return int(os.environ.get("RANK", 0)) == 0
+def is_main_process() -> bool:
+    """Whether this is the first of the processes that train together: it alone validates and writes.
+
+    Raises:
+        PwmGymError: the environment tells a rank, but not how many processes there are or where they meet.
+    """
+    return _rank_and_world()[0] == 0
+
+
+def _rank_and_world() -> tuple[int, int]:
+    """This process's rank and the number of processes, as ``torchrun`` tells them."""
+    told = {name: os.environ[name] for name in _TORCHRUN if os.environ.get(name)}
+    if "RANK" not in told and "WORLD_SIZE" not in told:
+        return 0, 1
+    if missing := [name for name in _TORCHRUN if name not in told]:
+        raise PwmGymError(
+            f"RANK={told.get('RANK')}, WORLD_SIZE={told.get('WORLD_SIZE')} are set without {', '.join(missing)}; "
+            "start several processes with torchrun, or unset them"
+        )
+    try:
+        rank, world = int(told["RANK"]), int(told["WORLD_SIZE"])
+    except ValueError:
+        raise PwmGymError(f"RANK={told['RANK']}, WORLD_SIZE={told['WORLD_SIZE']}; expected integers") from None
+    if not 0 <= rank < world:
+        raise PwmGymError(f"RANK={rank}; expected 0 to {world - 1}, below WORLD_SIZE")
+    return rank, world
 
 
 def has_state(folder: Path) -> bool:
@@ -154,8 +184,8 @@ class _Run:
 
     def __init__(self, model: nn.Module, loss: nn.Module, config: LoopConfig, folder: Path, clock: Clock) -> None:
         self.config, self.folder, self.model, self.clock, self.step = config, folder, model, clock, 0
-        self.rank, self.world = int(os.environ.get("RANK", 0)), int(os.environ.get("WORLD_SIZE", 1))
-        self.leads = leads()
+        self.rank, self.world = _rank_and_world()
+        self.is_main = self.rank == 0
         if self.world > 1 and not dist.is_initialized():
             dist.init_process_group("nccl" if config.device.startswith("cuda") else "gloo")
         self.loss = loss
@@ -164,7 +194,7 @@ class _Run:
         self.optimizer = build_optimizer(
             model, config.learning_rate, config.weight_decay, muon=config.optimizer == "muon"
         )
-        self.average = {k: v.detach().clone() for k, v in model.state_dict().items()}
+        self.ema = {k: v.detach().clone() for k, v in model.state_dict().items()}
         folder.mkdir(parents=True, exist_ok=True)
         self._resume()
         self._writer: Any = None
@@ -178,12 +208,18 @@ class _Run:
         except Exception as error:
             raise CheckpointError(f"{path} is truncated or foreign ({error}); delete it to start anew") from error
         if not isinstance(state, dict) or state.keys() != _KEYS:
-            raise CheckpointError(f"{path} is foreign or of another version of pwm_gym; delete it to start anew")
+            raise CheckpointError(
+                f"{path} is foreign or of another version of pwm_gym; "
+                "finish it with that one or delete it to start anew"
+            )
         if state["config"] != self.config.describe():
             raise CheckpointError(f"{path} was written with {state['config']}; expected {self.config.describe()}")
-        self.model.load_state_dict(state["model"])
-        self.optimizer.load_state_dict(state["optimizer"])
-        self.average, self.step = state["average"], state["step"]
+        try:
+            self.model.load_state_dict(state["model"])
+            self.optimizer.load_state_dict(state["optimizer"])
+        except (RuntimeError, ValueError, LookupError, TypeError) as error:
+            raise CheckpointError(f"{path} does not fit this model ({error}); delete it to start anew") from error
+        self.ema, self.step = state["ema"], state["step"]
         self.clock.resume(state["spent"])
 
     def update(self, draw: Draw) -> float:
@@ -196,12 +232,25 @@ class _Run:
         self.model.train()
         self.optimizer.zero_grad()
         loss = self.loss(batch)
+        self._check_finite("loss", float(loss.detach()))
         loss.backward()
-        nn.utils.clip_grad_norm_(self.model.parameters(), self.config.gradient_clip)
+        norm = nn.utils.clip_grad_norm_(self.model.parameters(), self.config.gradient_clip)
+        self._check_finite("gradient's norm", float(norm))
         self.optimizer.step()
         self.step += 1
-        self._fold_average()
+        self._fold_ema()
         return float(loss.detach())
+
+    def _check_finite(self, what: str, value: float) -> None:
+        """Stop before what is not finite reaches the weights."""
+        if math.isfinite(value):
+            return
+        number, (extent, batch) = self.config.phase_index(self.step) + 1, self.config.phase(self.step)
+        raise PwmGymError(
+            f"the {what} is {value} at step {self.step} of {self.config.steps} (phase {number}: extent {extent}, "
+            f"batch {batch}); lower learning_rate={self.config.learning_rate} or gradient_clip="
+            f"{self.config.gradient_clip}. What was saved before stays in {self.folder}"
+        )
 
     def _learning_rate(self) -> float:
         c = self.config
@@ -212,17 +261,17 @@ class _Run:
         return c.learning_rate * warm * (0.01 + 0.99 * 0.5 * (1 + float(torch.cos(done))))
 
     @torch.no_grad()
-    def _fold_average(self) -> None:
-        decay = min(self.config.average, self.step / (self.step + 10))
+    def _fold_ema(self) -> None:
+        decay = min(self.config.ema_decay, self.step / (self.step + 10))
         for name, value in self.model.state_dict().items():
             if value.is_floating_point():
-                self.average[name].lerp_(value, 1.0 - decay)
+                self.ema[name].lerp_(value, 1.0 - decay)
             else:
-                self.average[name].copy_(value)
+                self.ema[name].copy_(value)
 
     def log(self, values: dict[str, float]) -> None:
         """Append to the TensorBoard curves (the first process alone)."""
-        if not self.leads:
+        if not self.is_main:
             return
         if self._writer is None:
             from torch.utils.tensorboard import SummaryWriter
@@ -235,10 +284,10 @@ class _Run:
         self, validate: Callable[[Any], dict[str, float]], save: Callable[[nn.Module, dict[str, float]], None]
     ) -> dict[str, float]:
         """Validate and save the averaged weights, and the state to resume from."""
-        if not self.leads:
+        if not self.is_main:
             return {}
         last = {k: v.detach().clone() for k, v in self.model.state_dict().items()}
-        self.model.load_state_dict(self.average)
+        self.model.load_state_dict(self.ema)
         self.model.eval()
         metrics = validate(self.model)
         save(self.model, metrics)
@@ -249,13 +298,13 @@ class _Run:
 
     def save_state(self) -> None:
         """Save what a killed run resumes from (the first process alone)."""
-        if not self.leads:
+        if not self.is_main:
             return
         state = {
             "config": self.config.describe(),
             "model": self.model.state_dict(),
             "optimizer": self.optimizer.state_dict(),
-            "average": self.average,
+            "ema": self.ema,
             "step": self.step,
             "spent": self.clock.spent(),
         }
@@ -265,7 +314,7 @@ class _Run:
 
     def finish(self) -> None:
         """Leave the averaged weights in the model and close what is open."""
-        self.model.load_state_dict(self.average)
+        self.model.load_state_dict(self.ema)
         self.model.eval()
         if self._writer is not None:
             self._writer.close()

@@ -3,73 +3,111 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import torch
 from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
-from torch import nn
+from torch import Tensor, nn
 
 from pwm_gym.errors import CheckpointError
+from pwm_gym.schema import convert, read_json
 
 __all__ = ["load_weights", "read_description", "save_weights"]
 
 _WEIGHTS, _DESCRIPTION = "model.safetensors", "config.json"
+_DAMAGE = (SafetensorError, OSError, ValueError, TypeError, LookupError, RuntimeError, MemoryError, OverflowError)
+"""What safetensors and PyTorch raise on damaged files."""
+
+
+@dataclass(frozen=True)
+class _Head:
+    """What every description begins with."""
+
+    format: str
+    schema: int
 
 
 def save_weights(folder: Path, model: nn.Module, description: Mapping[str, Any]) -> None:
-    """Write a model's weights and its description to ``folder``; each file is replaced as a whole."""
-    folder.mkdir(parents=True, exist_ok=True)
+    """Write a model's weights and its description to ``folder``; each file is replaced as a whole.
+
+    Raises:
+        CheckpointError: a weight is not finite; what the folder held stays.
+    """
     weights = {k: v.detach().cpu().contiguous() for k, v in model.state_dict().items()}
+    _check_finite(weights, model, f"the weights for {folder}")
+    text = json.dumps(_without_nan(description), indent=2, allow_nan=False)
+    folder.mkdir(parents=True, exist_ok=True)
     save_file(weights, folder / f".{_WEIGHTS}")
-    (folder / f".{_DESCRIPTION}").write_text(json.dumps(description, indent=2))
+    (folder / f".{_DESCRIPTION}").write_text(text)
     for name in (_WEIGHTS, _DESCRIPTION):
         (folder / f".{name}").replace(folder / name)
 
 
-def read_description(folder: Path, form: str, schema: int, keys: Iterable[str]) -> dict[str, Any]:
+def read_description(folder: Path, form: str, schema: int, fields: type) -> dict[str, Any]:
     """What :func:`save_weights` was told of the model.
 
     Args:
         folder: of the checkpoint.
         form: its "format".
         schema: the newest that is understood.
-        keys: what it must hold.
+        fields: dataclass of what it must hold besides; it may hold more.
 
     Raises:
-        CheckpointError: missing, truncated, foreign, incomplete, or of a newer schema.
+        CheckpointError: missing, damaged, foreign, incomplete, of wrong types, or of a newer schema.
     """
     path = folder / _DESCRIPTION
     if not path.exists():
         raise CheckpointError(f"{folder} is not a checkpoint: it has no {_DESCRIPTION}")
-    try:
-        description = json.loads(path.read_text())
-    except json.JSONDecodeError as error:
-        raise CheckpointError(f"{path} is truncated or not JSON ({error})") from error
-    found = description.get("format") if isinstance(description, dict) else type(description).__name__
+    description = read_json(path, dict[str, Any], CheckpointError)
+    found = description.get("format")
     if found != form:
         raise CheckpointError(f"{path} has format {found!r}; expected {form!r}")
-    if description.get("schema", 0) > schema:
-        raise CheckpointError(f"{path} has schema {description['schema']}; this version reads up to {schema}")
-    if missing := set(keys) - description.keys():
-        raise CheckpointError(f"{path} lacks {', '.join(sorted(missing))}")
-    return dict(description)
+    head = convert(description, _Head, CheckpointError, str(path))
+    if head.schema > schema:
+        raise CheckpointError(f"{path} has schema {head.schema}; this version reads up to {schema}")
+    convert(description, fields, CheckpointError, str(path))
+    return description
 
 
 def load_weights(model: nn.Module, folder: Path) -> None:
     """Fill ``model`` with the folder's weights; it is in evaluation mode then, without gradients.
 
     Raises:
-        CheckpointError: the file is truncated, foreign, or of another architecture.
+        CheckpointError: the file is truncated, foreign, of another architecture, or a weight is not finite.
     """
     path = folder / _WEIGHTS
     try:
         weights = load_file(path)
-    except (SafetensorError, OSError) as error:
+    except _DAMAGE as error:
         raise CheckpointError(f"{path} is truncated or not safetensors ({error})") from error
+    _check_finite(weights, model, str(path))
     try:
         model.load_state_dict(weights)
     except RuntimeError as error:
         raise CheckpointError(f"{path} does not fit its {_DESCRIPTION}: {error}") from error
     model.eval().requires_grad_(False)
+
+
+def _check_finite(weights: Mapping[str, Tensor], model: nn.Module, what: str) -> None:
+    """Raise :class:`CheckpointError` where a tensor holds a NaN, or a parameter an infinity (a limit may be one)."""
+    parameters = {name for name, _ in model.named_parameters()}
+    for name, value in weights.items():
+        if not value.is_floating_point():
+            continue
+        wrong = ~torch.isfinite(value) if name in parameters else torch.isnan(value)
+        if bool(wrong.any()):
+            raise CheckpointError(f"{what}: {name!r} holds {int(wrong.sum())} values that are not finite")
+
+
+def _without_nan(value: Any) -> Any:
+    """The same JSON values with null for numbers that JSON has no word for."""
+    if isinstance(value, Mapping):
+        return {k: _without_nan(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_without_nan(v) for v in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -114,6 +114,8 @@ class Frame:
         if missing := [k for k in ("depth", "intrinsics", "pose") if k not in arrays]:
             raise PwmGymError(f"{path} is not a frame file (it lacks {', '.join(missing)})")
         depth = arrays["depth"]
+        if depth.ndim != 2:
+            raise PwmGymError(f"{path}: depth has shape {depth.shape}; expected (H, W)")
         camera = DepthCamera(arrays["intrinsics"], arrays["pose"], depth.shape[-1], depth.shape[0])
         masks = {k.removeprefix(_MASK): v for k, v in arrays.items() if k.startswith(_MASK)}
         optional = {k: arrays.get(k) for k in _OPTIONAL}

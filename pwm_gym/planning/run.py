@@ -80,6 +80,8 @@ class Run:
 
     def __post_init__(self) -> None:
         """Check the arrays' lengths."""
+        if np.ndim(self.actions) != 2:
+            raise PwmGymError(f"run.actions has shape {np.shape(self.actions)}; expected (T, A)")
         steps, entities = len(self.actions), len(self.start.layout)
         shapes = {
             "rewards": (steps,),

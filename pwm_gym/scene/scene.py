@@ -92,13 +92,15 @@ class Scene:
             "goal": (goal_size,),
         }
         if self.joints is not None:
-            shapes["joints"] = (2, np.shape(self.joints)[-1])
+            shapes["joints"] = (2, np.size(self.joints) // 2)
         for name, shape in shapes.items():
             array = getattr(self, name)
             if not isinstance(array, np.ndarray):
                 raise SceneError(f"scene.{name} is a {type(array).__name__}; expected an array of shape {shape}")
             if array.shape != shape:
                 raise SceneError(f"scene.{name} has shape {array.shape}; expected {shape}")
+            if array.dtype.kind not in "fiu":
+                raise SceneError(f"scene.{name} has type {array.dtype}; expected numbers")
             if not np.isfinite(array).all():
                 raise SceneError(f"scene.{name} holds {int((~np.isfinite(array)).sum())} values that are not finite")
         norms = np.linalg.norm(self.poses[..., 3:], axis=-1)

@@ -23,7 +23,7 @@ from pwm_gym.dynamics.compact.arm import ArmResponse
 from pwm_gym.dynamics.model import WorldModel
 from pwm_gym.dynamics.registry import build_model
 from pwm_gym.errors import DatasetError, unknown_name
-from pwm_gym.learning import Clock, has_state, leads
+from pwm_gym.learning import Clock, has_state, is_main_process
 from pwm_gym.tasks import get_task
 from pwm_gym.training.losses import TrainConfig, train
 
@@ -43,11 +43,14 @@ _VIEWS = ("complete", "partial")
 class FitConfig:
     """What to train on what."""
 
-    data: tuple[Path, ...] = (Path("data-sets/PickCube"),)
-    """Folders of data sets (``pwm-gym collect``), of one task or of several tasks of a robot."""
+    task: str = "PickCube"
+    """Registered task whose folder of data is read where ``data`` is not given."""
+    data: tuple[Path, ...] = ()
+    """Folders of data sets (``pwm-gym collect``), of one task or of several tasks of a robot. None given takes
+    ``data-sets/`` and the task's name."""
     out: Path | None = None
-    """Folder of the run: TensorBoard curves, the state to resume from, and ``checkpoint``; by default ``runs/`` and the
-    tasks' names."""
+    """Folder of the run: TensorBoard curves, the state to resume from, and ``checkpoint``. None takes ``runs/`` and the
+    names of the data's tasks."""
     model: str = "compact"
     """Registered kind of world model."""
     settings: dict[str, int | float | bool | str] = field(default_factory=dict)
@@ -65,6 +68,16 @@ class FitConfig:
     boost: float = _BOOST
     """How much likelier windows with an object's own motion are drawn."""
 
+    @property
+    def folders(self) -> tuple[Path, ...]:
+        """Folders of the data sets."""
+        return self.data or (Path("data-sets") / self.task,)
+
+    @property
+    def folder(self) -> Path:
+        """Folder of the run."""
+        return Path("runs") / self.task if self.out is None else self.out
+
 
 def fit(config: FitConfig, training: TrainConfig, validate: Validate, progress: bool = True) -> Path:
     """Train and return the checkpoint's folder.
@@ -80,11 +93,11 @@ def fit(config: FitConfig, training: TrainConfig, validate: Validate, progress: 
         DatasetError: a data set is missing, truncated, or of another robot than the others.
     """
     use_device(training.device)
-    sources = load_sources(config.data, "train")
+    sources = load_sources(config.folders, "train")
     tasks = [get_task(dataset.task) for dataset in sources]
     out = config.out or Path("runs") / "-".join(task.name for task in tasks)
     sources = [_chosen(dataset, config, len(sources)) for dataset in sources]
-    held_out = load_sources(config.data, "validation")
+    held_out = load_sources(config.folders, "validation")
     windows, seen = _windows(config, sources, held_out)
     clock = Clock()
     torch.set_num_threads(training.threads)  # before the fits: sums depend on it, and a resumed run must find the same
@@ -111,7 +124,7 @@ def fit(config: FitConfig, training: TrainConfig, validate: Validate, progress: 
         return {f"{task}/{name}": value for task, values in found.items() for name, value in values.items()}
 
     metrics = train(model, Reframed(windows), training, out, measure, save, progress, clock)
-    if leads() and getattr(model, "error", None) is not None:
+    if is_main_process() and getattr(model, "error", None) is not None:
         fit_error(model, sources, config.error_steps)
         save(model, metrics or measure(model))  # a resumed run may have had nothing left to train
     return checkpoint
@@ -263,7 +276,7 @@ def _describe(config: FitConfig, sources: Sequence[Dataset]) -> dict[str, Any]:
     episodes = [e for dataset in sources for e in dataset.episodes]
     kinds = np.bincount([e.kind for e in episodes], minlength=len(KINDS))
     return {
-        "settings": [read_header(folder).settings for folder in config.data],
+        "settings": [read_header(folder).settings for folder in config.folders],
         "tasks": {dataset.task: len(dataset.episodes) for dataset in sources},
         "episodes": dict(zip(KINDS, map(int, kinds), strict=True)),
         "transitions": sum(map(len, episodes)),

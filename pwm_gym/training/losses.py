@@ -64,7 +64,7 @@ class TrainConfig(LoopConfig):
             joint_weight=0.0,
             object_weight=1.0,
             loss_points=10**9,
-            average=0.0,
+            ema_decay=0.0,
         )
 
 

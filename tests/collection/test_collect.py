@@ -4,6 +4,7 @@ import subprocess
 import sys
 import time
 from dataclasses import fields, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -61,7 +62,7 @@ def test_episodes_are_whole(data_folder):
 
 
 def test_two_workers_collect_what_one_does(data_config, data_folder, tmp_path):
-    two = collect(replace(data_config, out=tmp_path / "two", held_out=0, workers=2), progress=False)
+    two = collect(replace(data_config, out=tmp_path / "two", held_out=1, workers=2), progress=False)
     assert_same(data_folder, two, splits=["train"])
 
 
@@ -78,7 +79,7 @@ def test_a_killed_run_resumes_to_the_same_data(data_config, data_folder, tmp_pat
     assert run.wait() == -signal.SIGKILL
     whole = {p: p.stat().st_mtime_ns for p in out.glob("*.npz")}
     assert 1 <= len(whole) < 4  # killed in the middle
-    collect(replace(data_config, out=out, held_out=0), progress=False)
+    collect(replace(data_config, out=out, held_out=1), progress=False)
     assert_same(data_folder, out, splits=["train"])
     assert all(p.stat().st_mtime_ns == t for p, t in whole.items())  # what was there was kept
 
@@ -157,6 +158,42 @@ def test_a_truncated_header_is_named(copied):
         collect(copied, progress=False)
     with pytest.raises(DatasetError, match=r"dataset\.json is truncated or not JSON"):
         load_split(copied.out, "train")
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"episodes": -3}, "episodes=-3; expected at least 1"),
+        ({"held_out": 0}, "held_out=0; expected at least 1"),
+        ({"workers": 0}, "workers=0; expected at least 1"),
+        ({"shard": -1}, "shard=-1; expected at least 1"),
+        ({"offset": -1}, "offset=-1; expected at least 0"),
+        ({"practice": 1.5}, "practice=1.5; expected a share from 0 to 1"),
+        ({"on_policy": -0.1}, "on_policy=-0.1; expected a share"),
+        ({"randomise": float("nan")}, "randomise=nan; expected a share"),
+        ({"practice": 0.7, "on_policy": 0.7}, "expected at most 1 together"),
+    ],
+)
+def test_what_cannot_be_collected_is_refused(change, message):
+    with pytest.raises(DatasetError, match=message):
+        CollectConfig(**change)
+
+
+def test_a_tasks_data_set_has_a_folder_of_its_own():
+    assert CollectConfig(task="StackCube").folder == Path("data-sets/StackCube")
+    assert CollectConfig(out=Path("mine")).folder == Path("mine")
+
+
+@pytest.mark.parametrize("pattern", ["*", "dataset.json", "train-*.npz"])
+def test_files_that_vanish_meanwhile_are_an_error(copied, monkeypatch, pattern):
+    def vanish(jobs, workers):
+        for path in copied.folder.glob(pattern):
+            path.unlink()
+        return iter(())
+
+    monkeypatch.setattr(sys.modules[collect.__module__], "_run", vanish)
+    with pytest.raises(DatasetError, match=r"lost \d+ of \d+ files while it was collected"):
+        collect(copied, progress=False)
 
 
 @pytest.mark.slow

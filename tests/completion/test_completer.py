@@ -33,7 +33,7 @@ TRAINING = CompletionTrainConfig(
     target=128,
     threads=1,
     learning_rate=0.03,  # of 200 steps that it takes to warm up there are 80
-    average=0.9,
+    ema_decay=0.9,
     validate_every=40,
     save_every=20,
 )

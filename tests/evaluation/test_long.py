@@ -13,7 +13,7 @@ TASK = get_task("PickCube")
 
 @pytest.fixture(scope="module")
 def episodes(sim, train_split):
-    return mixed_episodes(sim.unwrapped.simulator, TASK, train_split.clouds, count=2, steps=70, progress=False)
+    return mixed_episodes(sim.unwrapped.simulator, TASK, train_split, count=2, steps=70, progress=False)
 
 
 def test_experts_and_random_actions_take_turns(episodes):

@@ -7,11 +7,12 @@ import torch
 from pwm_gym.data import KINDS, Dataset
 from pwm_gym.dynamics import build_model
 from pwm_gym.evaluation import evaluate_rollouts, long_rollouts, predict, validation_metrics
-from pwm_gym.evaluation.floors import chaos_floor, sampling_floor
-from pwm_gym.evaluation.rollouts import OBSERVED, position_errors, rotation_errors
+from pwm_gym.evaluation.floors import chaos_floor, in_units_of_chaos, nudged, sampling_floor
+from pwm_gym.evaluation.joints import joint_positions
+from pwm_gym.evaluation.rollouts import OBSERVED, Rollouts, joint_errors, position_errors, rotation_errors
 from pwm_gym.robots import Control
-from pwm_gym.scene import PointState, RigidState, resample_clouds, sample_clouds
-from pwm_gym.scene.se3 import matrix_from_pose7
+from pwm_gym.scene import Joint, Layout, PointState, RigidState, Scene, batch_state, resample_clouds, sample_clouds
+from pwm_gym.scene.se3 import matrix_from_pose7, pose7_from_matrix, rotation_from_vector
 from pwm_gym.tasks import get_task
 
 TASK = get_task("PickCube")
@@ -174,9 +175,9 @@ def test_long_rollouts_of_a_still_world(dataset):
 
 
 def test_the_sampling_floor(train_split, simulator):
-    assert sampling_floor(train_split, train_split.clouds)["chamfer_l1"] == 0
+    assert sampling_floor(train_split, lambda e: train_split.scene(e).clouds)["chamfer_l1"] == 0
     fresh = sample_clouds(simulator.meshes(), train_split.layout, seed=1000)
-    floor = sampling_floor(train_split, fresh)
+    floor = sampling_floor(train_split, lambda e: fresh)
     assert 0.002 < floor["chamfer_l2"] < floor["chamfer_l1"] < 0.008
 
 
@@ -184,4 +185,69 @@ def test_the_chaos_floor(train_split, simulator):
     practice = train_split.of_kinds(("practice",)).episodes[:1]
     floor = chaos_floor(simulator, TASK, replace(train_split, episodes=practice), progress=False)
     assert 1e-5 < floor["chamfer_l1"] < 0.02
-    assert 0.1 < floor["cube_last_mm"]["mean"] < 300
+    cube = floor["objects"]["cube"]
+    assert floor["chamfer_l1"] == cube["chamfer_l1"] and cube["position_mm"].keys() == {"10", "30", "60", "last"}
+    assert 0.1 < cube["position_mm"]["last"]["mean"] < 300
+
+
+def test_errors_in_units_of_chaos():
+    errors = {"10": {"mean": 3.0}, "30": {"mean": 8.0}, "last": {"mean": 6.0}}
+    chaos = {"10": {"mean": 1.5}, "last": {"mean": 12.0}}
+    assert in_units_of_chaos(errors, chaos) == {"10": 2.0, "last": 0.5}
+
+
+ARTICULATED = Layout.build(
+    [("hand", 4), ("cabinet", 5), ("drawer", 5), ("lid", 5), ("cube", 4)],
+    driven=("hand",),
+    joints={
+        "cabinet": Joint("fixed"),
+        "drawer": Joint("prismatic", "cabinet", origin=(0.1, 0, 0, 0.5, 0.5, 0.5, 0.5), axis=(0, 0, 1), upper=0.2),
+        "lid": Joint("revolute", "cabinet", origin=(0, 0.2, 0, 1, 0, 0, 0), axis=(0, 1, 0), lower=-2.0, upper=0.5),
+    },
+)
+
+
+def opened(drawer, lid):
+    """Poses (E, 4, 4) of a cabinet that stands askew."""
+    poses = torch.eye(4).repeat(5, 1, 1)
+    poses[1] = matrix_from_pose7(torch.tensor([0.3, -0.2, 0.1, 0.8, 0.0, 0.0, 0.6]))
+    slide, turn = torch.eye(4), torch.eye(4)
+    slide[2, 3] = drawer
+    turn[:3, :3] = rotation_from_vector(torch.tensor([0.0, lid, 0.0]))
+    for i, moved in ((2, slide), (3, turn)):
+        poses[i] = poses[1] @ matrix_from_pose7(torch.tensor(ARTICULATED.entities[i].joint.origin)) @ moved
+    return poses
+
+
+def test_positions_of_joints_are_read_off_poses():
+    poses = torch.stack([opened(0.05, 0.3), opened(0.15, -1.9)])
+    torch.testing.assert_close(joint_positions(ARTICULATED, poses, 2), torch.tensor([0.05, 0.15]))
+    torch.testing.assert_close(joint_positions(ARTICULATED, poses, 3), torch.tensor([0.3, -1.9]))
+
+
+@pytest.mark.parametrize("entity", ["drawer", "lid"])
+def test_parts_are_nudged_along_their_joint(entity):
+    i = ARTICULATED.index(entity)
+    clouds = np.random.default_rng(0).normal(size=(ARTICULATED.points, 3)).astype(np.float32)
+    pose = pose7_from_matrix(opened(0.19, 0.4).double()).numpy()
+    scene = Scene("made", ARTICULATED, clouds, np.repeat(pose[None], 3, 0), np.zeros(0))
+    moved = nudged(scene, i)
+    before, after = (joint_positions(ARTICULATED, batch_state([s]).poses(), i) for s in (scene, moved))
+    assert after < before  # away from the near limit
+    points = [batch_state([s]).points()[0, ARTICULATED[entity].slice] for s in (scene, moved)]
+    assert (points[1] - points[0]).norm(dim=1).max() == pytest.approx(5e-4, rel=0.02)
+    others = [k for k in range(5) if k != i]
+    np.testing.assert_array_equal(moved.poses[:, others], scene.poses[:, others])
+
+
+def test_a_table_tells_of_every_object_and_joint():
+    """Errors of joints stand beside those of poses, in millimetres or degrees."""
+    true, told = opened(0.05, 0.3), opened(0.08, 0.3 + np.deg2rad(10.0))
+    truth, poses = (x.expand(2, 12, -1, -1, -1) for x in (true, told))
+    data = Dataset.__new__(Dataset)
+    object.__setattr__(data, "layout", ARTICULATED)
+    rollouts = Rollouts(data, (), poses, truth, torch.empty(0), torch.empty(0), None, np.array([12, 7]))
+    drawer, lid = (joint_errors(rollouts, ARTICULATED.index(n)) for n in ("drawer", "lid"))
+    assert (drawer.isnan() == ~rollouts.mask).all()
+    torch.testing.assert_close(drawer[rollouts.mask], torch.full((19,), 30.0), atol=1e-2, rtol=0)
+    torch.testing.assert_close(lid[rollouts.mask], torch.full((19,), 10.0), atol=1e-2, rtol=0)

@@ -47,7 +47,7 @@ def test_a_table_tells_every_mode_and_keeps_what_is_there(quick, data_folder, tm
     failed = [Run.load(p) for p in tmp_path.rglob("seed-*.npz")]
     assert sorted(run.chunk for run in failed) == [0, 1]
     assert "picture" not in row["modes"]["open loop"]
-    monkeypatch.setattr(table, "_model", None)  # nothing is to be run
+    monkeypatch.setattr(table, "_planned", lambda *a: pytest.fail("made again"))  # nothing is to be run
     assert run_planning_table(TABLE, data_folder, tmp_path) == first
     json.dumps(first)
     drawn = run_planning_table(TABLE, data_folder, tmp_path, draw=partial(_draw_failures, tmp_path / "pictures"))
@@ -73,6 +73,13 @@ def test_members_are_chosen_by_name():
         planning.choose(["Partial"])
 
 
+def test_the_papers_protocol_is_its_own():
+    members = PLANNING_TABLES["planning-paper"].members
+    assert {m.config for m in members} == {MPPIConfig.paper()} and {m.count(full=True) for m in members} == {20}
+    config = members[0].config
+    assert (config.samples, config.horizon, config.elites, config.sigma) == (200, 10, 64, (5.0,))
+
+
 def test_planners_are_compared_in_one_model():
     members = PLANNING_TABLES["planners"].members
     assert {(m.kind, m.source, m.slow) for m in members} == {("checkpoint", "default", False)}
@@ -88,7 +95,7 @@ def test_what_the_environment_shows_is_what_is_planned_from(data_folder, tmp_pat
         return original(name, **settings)
 
     monkeypatch.setattr(table.gym, "make", make)
-    monkeypatch.setattr(table, "_digest", lambda folder: "weights")
+    monkeypatch.setattr(table, "digest", lambda folder: "weights")
     monkeypatch.setattr("pwm_gym.envs.CameraConfig", lambda sensor: CameraConfig(sensor=sensor, completer="hull"))
     member = replace(BASELINE, partial=False, observation="completed", sensor="d455")
     chosen = PlanningTable("completed", (member,), modes=("closed loop",))
@@ -100,7 +107,7 @@ def test_what_the_environment_shows_is_what_is_planned_from(data_folder, tmp_pat
 
 def test_a_piece_is_named_after_all_that_decides_it(tmp_path, monkeypatch):
     def name(member, data="a"):
-        return table._path(tmp_path, "PickCube", member, tmp_path / data, 1, 5).name
+        return table._piece(member, "closed loop", tmp_path / data, tmp_path, "PickCube", full=False).folder.name
 
     row, shipped = Member("x", "row", "3DPWM, paper-small"), Member("x", "checkpoint", "default")
     before = name(row)

@@ -64,7 +64,7 @@ def assert_equal(a, b):
 
 
 def test_the_loss_goes_down(windows, tmp_path):
-    config = TrainConfig(phases=((1, 150, 32),), learning_rate=1e-2, validate_every=1000, threads=1, average=0.9)
+    config = TrainConfig(phases=((1, 150, 32),), learning_rate=1e-2, validate_every=1000, threads=1, ema_decay=0.9)
     model = compact(windows)
     model.response.root_weight.zero_()  # which leaves the network something to learn
     batch = windows.sample(torch.Generator().manual_seed(99), 256, 1)
@@ -167,9 +167,9 @@ def test_what_is_saved_is_the_average_and_what_goes_on_is_not(windows, tmp_path)
     saved = []
     run(compact(windows), windows, QUICK, tmp_path, lambda m, _: saved.append(m.head.weight.detach().clone()))
     state = torch.load(tmp_path / "training-state.pt", weights_only=True)
-    assert torch.equal(saved[-1], state["average"]["head.weight"])
-    assert not torch.equal(state["average"]["head.weight"], state["model"]["head.weight"])
-    last = run(compact(windows), windows, replace(QUICK, average=0.0), tmp_path / "plain")
+    assert torch.equal(saved[-1], state["ema"]["head.weight"])
+    assert not torch.equal(state["ema"]["head.weight"], state["model"]["head.weight"])
+    last = run(compact(windows), windows, replace(QUICK, ema_decay=0.0), tmp_path / "plain")
     state = torch.load(tmp_path / "plain" / "training-state.pt", weights_only=True)
     torch.testing.assert_close(last["head.weight"], state["model"]["head.weight"])
 
