@@ -15,17 +15,32 @@ import torch
 from pwm_gym.dynamics.bank import SceneBank
 from pwm_gym.dynamics.model import WorldModel
 from pwm_gym.dynamics.registry import build_model, config_of
-from pwm_gym.errors import CheckpointError, unknown_name
+from pwm_gym.errors import CheckpointError, UnknownNameError, unknown_name
 from pwm_gym.learning import load_weights, read_description, save_weights
 from pwm_gym.robots import Control
 from pwm_gym.scene import SCHEMA, Layout
 
-__all__ = ["SHIPPED", "Checkpoint", "SceneBank", "load_checkpoint", "resolve", "save_checkpoint"]
+__all__ = [
+    "SHIPPED",
+    "Checkpoint",
+    "SceneBank",
+    "default_checkpoints",
+    "load_checkpoint",
+    "resolve",
+    "save_checkpoint",
+    "shipped",
+]
 
 _FORMAT = "pwm_gym.checkpoint"
 _NO_MODEL = (RuntimeError, ValueError, TypeError, ArithmeticError, LookupError, MemoryError, AttributeError)
+_SCENES = "scenes-"
+_BANKS = f"{_SCENES}*.npz"
+_OLD = (
+    "is of version 0.1, whose weights do not fit; "
+    "train it again from its data set, which loads as it is: pwm-gym train --data DATA"
+)
 SHIPPED = Path(__file__).parent.parent / "checkpoints"
-"""Folder of the checkpoints that come with the package, one a task."""
+"""Folder of the checkpoints that come with the package."""
 
 
 @dataclass(frozen=True)
@@ -85,34 +100,41 @@ def save_checkpoint(
         "metrics": metrics,
     }
     for bank in banks:
-        bank.save(folder / f"scenes-{bank.task}.npz")
+        bank.save(folder / f"{_SCENES}{bank.task}.npz")
     save_weights(folder, model, description)
 
 
+def shipped() -> dict[str, Path]:
+    """Name -> folder of the checkpoints that come with the package."""
+    return {path.parent.name: path.parent for path in sorted(SHIPPED.glob("*/config.json"))}
+
+
+def default_checkpoints() -> dict[str, Path]:
+    """Task -> folder of the checkpoint that "default" means: its own, or one that is shared with other tasks."""
+    found = shipped()
+    shared = {path.stem.removeprefix(_SCENES): folder for folder in found.values() for path in folder.glob(_BANKS)}
+    return shared | {name: folder for name, folder in found.items() if name in shared}
+
+
 def resolve(checkpoint: str | Path, task: str) -> Path:
-    """Folder of a checkpoint: a path, the name of a shipped one, or ``"default"`` for the task's own.
+    """Folder of a checkpoint: a path, the name of a shipped one, or ``"default"`` for the task's.
 
     Raises:
-        CheckpointError: no checkpoint of the task is shipped.
-        UnknownNameError: neither a folder nor a shipped name.
+        UnknownNameError: neither a folder nor a shipped name, or none is shipped for the task.
     """
-    shipped = {p.parent.name: p.parent for p in SHIPPED.glob("*/config.json")}
-    if str(checkpoint) == "default" and task not in shipped:
-        raise CheckpointError(
-            f"no checkpoint of task {task!r} is shipped (there are {', '.join(sorted(shipped))}); "
-            f"train one: pwm-gym collect --task {task}, then pwm-gym train --data data-sets/{task}"
-        )
-    name = task if str(checkpoint) == "default" else str(checkpoint)
-    if name in shipped:
-        return shipped[name]
-    if own:
+    known, defaults = shipped(), default_checkpoints()
+    if str(checkpoint) == "default":
+        if task in defaults:
+            return defaults[task]
         raise UnknownNameError(
-            f"no checkpoint of task {task!r} is shipped (shipped: {', '.join(sorted(shipped)) or 'none'}); train one "
+            f"no checkpoint of task {task!r} is shipped (shipped: {', '.join(sorted(defaults)) or 'none'}); train one "
             f"with `pwm-gym collect --task {task}` and `pwm-gym train --data data-sets/{task}`, then pass its folder"
         )
+    if str(checkpoint) in known:
+        return known[str(checkpoint)]
     path = Path(checkpoint)
     if not path.is_dir():
-        raise unknown_name("checkpoint", str(checkpoint), [*shipped, "default"])
+        raise unknown_name("checkpoint", str(checkpoint), [*known, "default"])
     return path
 
 
@@ -123,7 +145,7 @@ def load_checkpoint(folder: str | Path, device: str = "cpu") -> Checkpoint:
         CheckpointError: truncated, foreign, or of a newer schema.
     """
     folder = Path(folder)
-    description = read_description(folder, _FORMAT, SCHEMA, _Description)
+    description = read_description(folder, _FORMAT, SCHEMA, _Description, _OLD)
     try:
         links = Layout.from_json(description["links"])
     except ValueError as error:
@@ -135,7 +157,7 @@ def load_checkpoint(folder: str | Path, device: str = "cpu") -> Checkpoint:
         except _NO_MODEL as error:
             raise CheckpointError(f"{folder}: its config.json describes no model ({error})") from error
     load_weights(model, folder)
-    paths = sorted(folder.glob("scenes-*.npz"))
+    paths = sorted(folder.glob(_BANKS))
     banks = {bank.task: bank for bank in map(SceneBank.load, paths)}
     tasks = tuple(map(str, description["tasks"]))
     return Checkpoint(model.to(device), description["model"], tasks, description, banks, folder)  # type: ignore[arg-type]

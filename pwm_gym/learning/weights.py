@@ -48,7 +48,7 @@ def save_weights(folder: Path, model: nn.Module, description: Mapping[str, Any])
         (folder / f".{name}").replace(folder / name)
 
 
-def read_description(folder: Path, form: str, schema: int, fields: type) -> dict[str, Any]:
+def read_description(folder: Path, form: str, schema: int, fields: type, old: str = "") -> dict[str, Any]:
     """What :func:`save_weights` was told of the model.
 
     Args:
@@ -56,6 +56,7 @@ def read_description(folder: Path, form: str, schema: int, fields: type) -> dict
         form: its "format".
         schema: the newest that is understood.
         fields: dataclass of what it must hold besides; it may hold more.
+        old: what is said of one of an older schema; empty where those are read, too.
 
     Raises:
         CheckpointError: missing, damaged, foreign, incomplete, of wrong types, or of a newer schema.
@@ -70,6 +71,8 @@ def read_description(folder: Path, form: str, schema: int, fields: type) -> dict
     head = convert(description, _Head, CheckpointError, str(path))
     if head.schema > schema:
         raise CheckpointError(f"{path} has schema {head.schema}; this version reads up to {schema}")
+    if old and head.schema < schema:
+        raise CheckpointError(f"{folder} {old}")
     convert(description, fields, CheckpointError, str(path))
     return description
 

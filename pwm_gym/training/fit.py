@@ -73,11 +73,6 @@ class FitConfig:
         """Folders of the data sets."""
         return self.data or (Path("data-sets") / self.task,)
 
-    @property
-    def folder(self) -> Path:
-        """Folder of the run."""
-        return Path("runs") / self.task if self.out is None else self.out
-
 
 def fit(config: FitConfig, training: TrainConfig, validate: Validate, progress: bool = True) -> Path:
     """Train and return the checkpoint's folder.
@@ -136,9 +131,9 @@ def _windows(config: FitConfig, sources: list[Dataset], held_out: list[Dataset])
         raise unknown_name("view", config.view, _VIEWS)
     if config.view == "complete":
         return mixed([Windows(dataset, config.boost) for dataset in sources]), None
-    if config.episodes or config.kinds or len(config.data) > 1:
+    if config.episodes or config.kinds or len(config.folders) > 1:
         raise DatasetError("view='partial' trains on all episodes of one data set; expected no choice of them")
-    folder, task = config.data[0], get_task(sources[0].task)
+    folder, task = config.folders[0], get_task(sources[0].task)
     seen = visible_split(folder, "train", task, sources[0])
     return PartialWindows(sources[0], seen, boost=config.boost), visible_split(folder, "validation", task, held_out[0])
 
