@@ -6,6 +6,7 @@ from typing import Protocol, runtime_checkable
 
 from torch import Tensor
 
+from pwm_gym.dynamics.protocols import RollsOut
 from pwm_gym.scene import Layout, State, stack
 
 __all__ = ["WorldModel", "rollout"]
@@ -32,10 +33,8 @@ def rollout(model: WorldModel, state: State, actions: Tensor, prepared: bool = F
     ``rollout(...).points()`` is (B, H, N, 3); step h is the state after action h. A model that rolls out faster than
     step by step has a ``rollout(state, actions)`` of its own. A state that is ``prepared`` is taken as it is.
     """
-    own = getattr(model, "rollout", None)
-    if own is not None:
-        states_of_all: State = own(state, actions)
-        return states_of_all
+    if isinstance(model, RollsOut):
+        return model.rollout(state, actions)
     state = state if prepared else model.prepare(state)
     states: list[State] = []
     for action in actions.unbind(1):

@@ -57,6 +57,11 @@ class PointwiseModel(nn.Module, ABC):
         return 9 + (len(self.links) + len(JOINT_KINDS) + 6 if self.config.entity_features else 0)
 
     @property
+    def read_points(self) -> int:
+        """Points of each entity that it reads; 0 is all."""
+        return int(self.config.points)
+
+    @property
     def moved_points(self) -> int:
         """Points of each entity that it was trained to move; 0 is all, or none where entities move rigidly."""
         return 0 if self.config.rigid else int(self.config.points)

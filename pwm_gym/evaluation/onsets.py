@@ -18,6 +18,7 @@ from torch import Tensor
 from pwm_gym.data.dataset import Dataset
 from pwm_gym.data.episodes import Episode
 from pwm_gym.dynamics.model import WorldModel
+from pwm_gym.dynamics.protocols import MovesFewerPoints
 from pwm_gym.scene import Layout, RigidState, State, batch_state, spacing
 from pwm_gym.scene.se3 import matrix_from_pose7
 from pwm_gym.sim import Simulator
@@ -205,7 +206,7 @@ def onset_errors(model: WorldModel, dataset: Dataset, onsets: Sequence[Onset] | 
 def _predict(model: WorldModel, dataset: Dataset, onsets: Sequence[Onset]) -> np.ndarray:
     """Motion (M, 3) that a model predicts of each onset's object."""
     start = batch_state([dataset.scene(dataset.episodes[o.episode], o.step) for o in onsets])
-    few = getattr(model, "moved_points", 0)
+    few = model.moved_points if isinstance(model, MovesFewerPoints) else 0
     start = start.coarsen(start.layout.truncate(few)) if few else start
     actions = np.stack([dataset.episodes[o.episode].actions[o.step] for o in onsets])
     before: State = model.prepare(start)

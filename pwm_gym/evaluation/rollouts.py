@@ -14,6 +14,7 @@ from pwm_gym.data.dataset import Dataset
 from pwm_gym.data.episodes import KINDS, Episode
 from pwm_gym.data.partial import partial_clouds
 from pwm_gym.dynamics.model import WorldModel
+from pwm_gym.dynamics.protocols import MovesArms, MovesFewerPoints
 from pwm_gym.evaluation.joints import joint_positions
 from pwm_gym.scene import PointState, RigidState, State, batch_state, stack
 from pwm_gym.scene.se3 import inverse, matrix_from_pose7, rotation_angle
@@ -112,7 +113,8 @@ def predict(
 
 def _complete_start(model: WorldModel, dataset: Dataset) -> RigidState:
     """State (M,) of the third step of each episode, with the points that ``model`` was trained to move."""
-    start, count = observed_start(dataset), getattr(model, "moved_points", 0)
+    start = observed_start(dataset)
+    count = model.moved_points if isinstance(model, MovesFewerPoints) else 0
     return start.coarsen(start.layout.truncate(count)) if count else start
 
 
@@ -204,17 +206,17 @@ def _roll(
     for h in range(steps):
         state = model.step(state, actions[:, h])
         if oracle is not None:
-            state = _overwrite(state, oracle[0][:, h], oracle[1][:, h], links)
+            known = model.own_joints(oracle[1][:, h]) if isinstance(model, MovesArms) else None
+            state = _overwrite(state, oracle[0][:, h], known, links)
         states.append(state)
     return stack(states + states[-1:] * (actions.shape[1] - steps), 1)
 
 
-def _overwrite(state: State, truth: Tensor, joints: Tensor, links: Tensor) -> State:
+def _overwrite(state: State, truth: Tensor, joints: Tensor | None, links: Tensor) -> State:
     poses = torch.where(links[:, None, None], truth, state.poses())
     frames = torch.cat([poses.unsqueeze(1), state.history()[:, 1:]], 1)
     if isinstance(state, RigidState):
-        known = None if state.joints is None else joints[..., : state.joints.shape[-1]]
-        return replace(state, frames=frames, joints=known)
+        return replace(state, frames=frames, joints=None if state.joints is None else joints)
     rigid = RigidState(state.layout, state.clouds, frames)
     assert isinstance(state, PointState)
     kept = torch.as_tensor(links.numpy()[state.layout.ids])[:, None]

@@ -14,7 +14,8 @@ from pwm_gym.scene.joint import FREE, IDENTITY, Joint, Pose7
 
 __all__ = ["Entity", "Layout", "Support"]
 
-_EXTENT = 100.0  # metres: half the width of a support that has no edge
+_EXTENT, _WIDE = 100.0, 50.0  # metres: half the width of a support that has no edge, and what counts as one
+_NO_FLOOR = -1e3  # metres
 
 
 @dataclass(frozen=True)
@@ -58,6 +59,16 @@ class Support:
     """Pose of the box's centre in the base's frame."""
     half: tuple[float, float, float] = (_EXTENT, _EXTENT, 1.0)
     """Half its sides, metres."""
+
+    @property
+    def plane(self) -> bool:
+        """Whether it is horizontal and has no edges within reach."""
+        return min(self.half[:2]) >= _WIDE and self.origin[3] == 1.0
+
+    @property
+    def top(self) -> float:
+        """Height of its top in its own axes, metres."""
+        return self.origin[2] + self.half[2]
 
     @classmethod
     def ground(cls, height: float = 0.0) -> Support:
@@ -205,6 +216,11 @@ class Layout:
         while parent is not None:
             depth, parent = depth + 1, self[parent].joint.parent
         return depth
+
+    @property
+    def floor(self) -> float:
+        """Height of the highest horizontal support without edges, metres; far below where there is none."""
+        return max((s.top for s in self.supports if s.plane), default=_NO_FLOOR)
 
     @property
     def points(self) -> int:

@@ -13,14 +13,14 @@ import torch
 from torch import nn
 
 from pwm_gym.data.augment import Reframed
-from pwm_gym.data.batch import Batch, Batches
+from pwm_gym.data.batch import Batches
 from pwm_gym.data.dataset import Dataset, load_split, read_header
 from pwm_gym.data.episodes import KINDS
 from pwm_gym.data.partial import PartialWindows, visible_split
 from pwm_gym.data.windows import Windows, mixed
 from pwm_gym.dynamics.checkpoint import SceneBank, save_checkpoint, use_device
-from pwm_gym.dynamics.compact.arm import ArmResponse
 from pwm_gym.dynamics.model import WorldModel
+from pwm_gym.dynamics.protocols import FitsResponse, LearnsError, Transitions
 from pwm_gym.dynamics.registry import build_model
 from pwm_gym.errors import DatasetError, unknown_name
 from pwm_gym.learning import Clock, has_state, is_main_process
@@ -119,7 +119,7 @@ def fit(config: FitConfig, training: TrainConfig, validate: Validate, progress: 
         return {f"{task}/{name}": value for task, values in found.items() for name, value in values.items()}
 
     metrics = train(model, Reframed(windows), training, out, measure, save, progress, clock)
-    if is_main_process() and getattr(model, "error", None) is not None:
+    if is_main_process() and isinstance(model, LearnsError) and model.error is not None:
         fit_error(model, sources, config.error_steps)
         save(model, metrics or measure(model))  # a resumed run may have had nothing left to train
     return checkpoint
@@ -190,37 +190,30 @@ def _chosen(dataset: Dataset, config: FitConfig, tasks: int) -> Dataset:
     return dataset
 
 
-@torch.no_grad()
-def _links(model: Any, batch: Batch, poses: torch.Tensor) -> torch.Tensor:
-    """Poses (..., L, 4, 4) of a model's links, of all entities' (..., E, 4, 4)."""
-    return poses[..., [batch.layout.index(name) for name in model.links.names], :, :]
-
-
 def fit_response(model: Any, sources: Sequence[Dataset], arm_steps: int) -> None:
     """The parts of a model that are fitted on every training transition before it is trained on rollouts.
 
     Args:
-        model: any; what has no such part is left alone.
+        model: any; one that has no such part is left alone.
         sources: training episodes, one data set a task.
         arm_steps: optimiser steps on the response of a known arm's joints.
     """
-    robot = getattr(model, "robot", None)
-    response = getattr(model if robot is None else robot, "response", None)
-    if response is None:
+    if not isinstance(model, FitsResponse):
         return
     every = [Windows(dataset).transitions() for dataset in sources]
-    actions = torch.cat([b.actions[:, 0] for b in every])
-    frames = torch.cat([_links(model, b, b.frames) for b in every])
-    response.fit(frames, actions, torch.cat([_links(model, b, b.following[:, 0]) for b in every]))
-    if robot is not None and robot.joints:
-        joints = torch.cat([b.joints for b in every])
-        following = torch.cat([b.following_joints[:, 0] for b in every])
-        floor = max((s.origin[2] + s.half[2] for b in every for s in b.layout.supports), default=-1e3)
-        known = iter(robot.robot_slices)
-        for arm in robot.arms:
-            if isinstance(arm, ArmResponse):
-                own = next(known)
-                arm.fit(joints[..., own], actions, following[..., own], arm_steps, floor)
+    names = cast("WorldModel", model).links.names
+    links = [[batch.layout.index(name) for name in names] for batch in every]
+    model.fit_response(
+        Transitions(
+            links=torch.cat([b.frames[:, :, k] for b, k in zip(every, links, strict=True)]),
+            actions=torch.cat([b.actions[:, 0] for b in every]),
+            following=torch.cat([b.following[:, 0, k] for b, k in zip(every, links, strict=True)]),
+            joints=torch.cat([b.joints for b in every]),
+            following_joints=torch.cat([b.following_joints[:, 0] for b in every]),
+            floor=max(dataset.layout.floor for dataset in sources),
+        ),
+        arm_steps,
+    )
 
 
 @torch.no_grad()

@@ -13,6 +13,7 @@ from torch.nn import functional as F
 
 from pwm_gym.data.batch import Batch, Batches
 from pwm_gym.dynamics.model import WorldModel
+from pwm_gym.dynamics.protocols import MovesArms, ReadsPoints
 from pwm_gym.errors import unknown_name
 from pwm_gym.learning import Clock, LoopConfig, run_training
 from pwm_gym.scene import Layout, RigidState, State
@@ -97,8 +98,9 @@ def rollout_loss(model: WorldModel, batch: Batch, config: TrainConfig) -> Tensor
             term = _huber((next_points - points) - (next_truth - truth), config, weight)
             if config.position_weight:
                 term = term + config.position_weight * _huber(next_points - next_truth, config, weight)
-            if config.joint_weight and isinstance(state, RigidState) and state.joints is not None:
-                error = state.joints - batch.following_joints[:, h, :, : state.joints.shape[-1]]
+            if config.joint_weight and isinstance(model, MovesArms) and isinstance(state, RigidState):
+                known = model.own_joints(batch.following_joints[:, h])
+                error = known[..., :0] if state.joints is None else state.joints - known
                 term = term + config.joint_weight * _huber(_LEVER * error, config)
         terms.append(term)
         points, truth = next_points, next_truth
@@ -107,7 +109,7 @@ def rollout_loss(model: WorldModel, batch: Batch, config: TrainConfig) -> Tensor
 
 def _points_in_loss(model: WorldModel, config: TrainConfig) -> int:
     """Points of each entity that a rollout carries: enough for the loss and for what the model reads (0: all)."""
-    read = getattr(getattr(model, "config", None), "points", config.loss_points)
+    read = model.read_points if isinstance(model, ReadsPoints) else config.loss_points
     return max(config.loss_points, read) if read else 10**9
 
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
+from pwm_gym.dynamics.protocols import Transitions
 from pwm_gym.dynamics.response import LinearResponse
 from pwm_gym.robots import Arm, Control
 from pwm_gym.scene import Layout, RigidState, State
@@ -55,6 +56,10 @@ class LinearBaseline(Still):
     def __init__(self, layout: Layout, control: Control | None = None, config: BaselineConfig | None = None) -> None:
         super().__init__(layout, control, config)
         self.response = LinearResponse(self.links, self.action_size)
+
+    def fit_response(self, transitions: Transitions, arm_steps: int) -> None:
+        """Fit the linear response on single steps."""
+        self.response.fit(transitions.links, transitions.actions, transitions.following)
 
     def step(self, state: State, action: Tensor) -> State:
         """State (B,) one step later."""

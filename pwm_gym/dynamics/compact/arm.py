@@ -85,10 +85,8 @@ class ArmResponse(nn.Module):
         """Width of :attr:`ArmForecast.features`."""
         return 9 * self.kinematics.arm.joints + 2
 
-    def observe(self, hand: Tensor, joints: Tensor | None) -> Tensor:
-        """Joint positions and velocities (..., 2, J) behind hand poses (..., 3, 4, 4): given, or solved for."""
-        if joints is not None:
-            return joints
+    def observe(self, hand: Tensor) -> Tensor:
+        """Joint positions and velocities (..., 2, J) behind hand poses (..., 3, 4, 4)."""
         rest = self.kinematics.rest.expand(*hand.shape[:-3], -1)
         now, _ = self.kinematics.solve(hand[..., 0, :, :], rest, 20)
         before, _ = self.kinematics.solve(hand[..., 1, :, :], now, _ITERATIONS)

@@ -26,6 +26,7 @@ from pwm_gym.dynamics.compact.movers import MoverMotion, Scales
 from pwm_gym.dynamics.compact.plan import Plan
 from pwm_gym.dynamics.compact.robot import RobotForecast, RobotMotion
 from pwm_gym.dynamics.compact.uncertainty import ErrorHead
+from pwm_gym.dynamics.protocols import Transitions
 from pwm_gym.dynamics.response import twists
 from pwm_gym.errors import PwmGymError
 from pwm_gym.robots import Control
@@ -132,6 +133,19 @@ class CompactModel(nn.Module):
         tells = self.error is not None and not self.training
         error = state.frames.new_zeros(*state.batch, len(state.layout)) if tells else None
         return replace(state, joints=joints, error=error)
+
+    @property
+    def read_points(self) -> int:
+        """Points of each entity that it reads."""
+        return self.config.points
+
+    def own_joints(self, joints: Tensor) -> Tensor:
+        """The known arms' joints (..., 2, J) of the robot's (..., 2, J')."""
+        return self.robot.select(joints)
+
+    def fit_response(self, transitions: Transitions, arm_steps: int) -> None:
+        """Fit the robot's responses on single steps."""
+        self.robot.fit(transitions, arm_steps)
 
     def step(self, state: State, action: Tensor) -> RigidState:
         """State (B,) one control step after action (B, A)."""

@@ -15,9 +15,6 @@ from pwm_gym.scene.se3 import inverse, matrix_from_pose7
 
 __all__ = ["Plan"]
 
-_WIDE = 50.0  # metres: half the width of a support that counts as a plane
-_DEEP = -1e3  # metres: floor of a scene without one
-
 
 @dataclass(frozen=True, eq=False)
 class Plan:
@@ -40,8 +37,8 @@ class Plan:
     """Bool (F, P): each mover's own place."""
     tree: JointTree
     """Joints of the articulated movers, of entities in :attr:`order`."""
-    planes: tuple[float, ...]
-    """Heights of horizontal supports without edges."""
+    floor: float
+    """Height of the horizontal support without edges, metres."""
     walls: Tensor
     """Inverse poses (S, 4, 4) of the other supports."""
     wall_half: Tensor
@@ -63,8 +60,7 @@ class Plan:
         )
         loose, articulated = list(sorted_layout.loose), list(sorted_layout.articulated)
         movers = loose + articulated
-        planes = [s for s in layout.supports if min(s.half[:2]) >= _WIDE and s.origin[3] == 1.0]
-        walls = [s for s in layout.supports if s not in planes]
+        walls = [s for s in layout.supports if not s.plane]
         poses = matrix_from_pose7(torch.tensor([s.origin for s in walls], dtype=torch.float32).reshape(-1, 7))
         kinds = [JOINT_KINDS.index(e.joint.kind) for e in sorted_layout.entities[len(links) :]]
         return cls(
@@ -77,7 +73,7 @@ class Plan:
             kinds=torch.tensor(kinds, dtype=torch.long, device=device),
             itself=torch.tensor([[p == m for p in range(len(order))] for m in movers], device=device),
             tree=JointTree(sorted_layout, articulated).to(device),
-            planes=tuple(s.origin[2] + s.half[2] for s in planes),
+            floor=layout.floor,
             walls=inverse(poses).to(device),
             wall_half=torch.tensor([s.half for s in walls], dtype=torch.float32, device=device).reshape(-1, 3),
         )
@@ -91,11 +87,6 @@ class Plan:
     def sorted(self) -> bool:
         """Whether the layout has the model's order already."""
         return self.order == self.back and self.order == sorted(self.order)
-
-    @property
-    def floor(self) -> float:
-        """Height of the highest plane, metres."""
-        return max(self.planes, default=_DEEP)
 
 
 def _check_robot(layout: Layout, links: Layout) -> None:

@@ -9,6 +9,7 @@ from torch import Tensor, nn
 
 from pwm_gym.dynamics.compact.arm import STEP, ArmForecast, ArmResponse
 from pwm_gym.dynamics.compact.movers import Scales
+from pwm_gym.dynamics.protocols import Transitions
 from pwm_gym.dynamics.response import LinearResponse, twist, twists
 from pwm_gym.errors import SceneError
 from pwm_gym.robots import Control
@@ -93,15 +94,25 @@ class RobotMotion(nn.Module):
         """
         if not self.joints:
             return None
-        if joints is not None and joints.shape[-1] == self.joints:
-            return joints
-        found = []
-        known = iter(self.robot_slices)
-        for hand, arm in zip(self.hands, self.arms, strict=True):
-            if isinstance(arm, ArmResponse):
-                place = next(known)
-                found.append(arm.observe(links[..., hand, :, :], None if joints is None else joints[..., place]))
+        if joints is not None:
+            return self.select(joints)
+        arms = zip(self.hands, self.arms, strict=True)
+        found = [arm.observe(links[..., hand, :, :]) for hand, arm in arms if isinstance(arm, ArmResponse)]
         return torch.cat(found, -1)
+
+    def select(self, joints: Tensor) -> Tensor:
+        """The known arms' joints (..., J) of the robot's (..., J'), or of themselves."""
+        if joints.shape[-1] == self.joints:
+            return joints
+        return torch.cat([joints[..., place] for place in self.robot_slices], -1) if self.joints else joints[..., :0]
+
+    def fit(self, transitions: Transitions, arm_steps: int) -> None:
+        """Fit the responses: the linear one in closed form, the arms' with ``arm_steps`` optimiser steps."""
+        t = transitions
+        self.response.fit(t.links, t.actions, t.following)
+        known = [arm for arm in self.arms if isinstance(arm, ArmResponse)]
+        for arm, place in zip(known, self.robot_slices, strict=True):
+            arm.fit(t.joints[..., place], t.actions, t.following_joints[..., place], arm_steps, t.floor)
 
     def forecast(self, links: Tensor, joints: Tensor | None, action: Tensor, floor: float) -> RobotForecast:
         """What is known of the step under actions (B, A), for links at poses (B, 3, L, 4, 4)."""
