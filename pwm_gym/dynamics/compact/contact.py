@@ -30,7 +30,7 @@ PAIR_FEATURES = 7
 
 @dataclass(frozen=True)
 class Contacts:
-    """Movers (F) and their partners (P: links, then all other entities)."""
+    """Movers (F) and their partners (P: links, then all other entities, if they are several)."""
 
     told: Tensor
     """What each mover's token is told (B, F, C)."""
@@ -135,15 +135,19 @@ class MoverContacts(nn.Module):
         ahead = torch.cat([links_next, (2.0 * now - before)[:, self._links :]], 1)
         here, there = now[:, plan.movers], ahead[:, plan.movers]
         points = nn.functional.pad(shapes[:, plan.movers], (0, 1), value=1.0).transpose(-1, -2)  # (B, F, 4, n)
+        now, ahead, theirs = now[:, : plan.partners], ahead[:, : plan.partners], shapes[:, : plan.partners]
+        moves_of_movers, moves = moves[:, plan.movers], moves[:, : plan.partners]
         local = inverse(now).unsqueeze(1) @ here.unsqueeze(2)  # (B, F, P, 4, 4)
         local_next = inverse(ahead).unsqueeze(1) @ there.unsqueeze(2)
-        box = _box(shapes.unsqueeze(1))
-        gap, _ = _box_gap(local[:, :, :, :3] @ points.unsqueeze(2), *box)  # (B, F, P, n)
+        box = _box(theirs.unsqueeze(1))
+        gap = _box_distance(local[:, :, :, :3] @ points.unsqueeze(2), *box)  # (B, F, P, n)
         gap_next, out = _box_gap(local_next[:, :, :, :3] @ points.unsqueeze(2), *box)
         alone = _APART * plan.itself.unsqueeze(-1)  # (F, P, 1)
         gap, gap_next = gap + alone, gap_next + alone
-        nearest, touching, push = self._pushes(ahead, there, shapes, points, local_next, (gap_next, out), plan)
-        pairs = self._pairs(now, moves, plan.movers, gap.amin(-1), nearest)
+        nearest, touching, push = self._pushes(
+            ahead, there, theirs, _box(shapes[:, plan.movers].unsqueeze(2)), points, local_next, (gap_next, out), plan
+        )
+        pairs = self._pairs(now, here, moves, moves_of_movers, gap.amin(-1), nearest)
         turned = (ahead[:, :, :3, :3].transpose(-1, -2) @ frames[:, :1, :3, :3]).transpose(-1, -2)
         out = turned.unsqueeze(1) @ out
         if len(plan.walls):
@@ -165,7 +169,7 @@ class MoverContacts(nn.Module):
     ) -> list[Tensor]:
         """Gaps now and ahead and ways out, those of the fixed boxes of the world included."""
         half = plan.wall_half[:, :, None]
-        gap, _ = _box_gap((plan.walls[:, :3] @ here.unsqueeze(2)) @ points.unsqueeze(2), -half, half)
+        gap = _box_distance((plan.walls[:, :3] @ here.unsqueeze(2)) @ points.unsqueeze(2), -half, half)
         gap_next, out = _box_gap((plan.walls[:, :3] @ there.unsqueeze(2)) @ points.unsqueeze(2), -half, half)
         turned = (plan.walls[:, :3, :3] @ frame[:, None, :3, :3]).transpose(-1, -2)  # (B, S, 3, 3)
         return [torch.cat(pair, 2) for pair in zip(known, (gap, gap_next, turned.unsqueeze(1) @ out), strict=True)]
@@ -217,6 +221,7 @@ class MoverContacts(nn.Module):
         ahead: Tensor,
         there: Tensor,
         shapes: Tensor,
+        box: tuple[Tensor, Tensor],
         points: Tensor,
         local_next: Tensor,
         known: tuple[Tensor, Tensor],
@@ -230,7 +235,6 @@ class MoverContacts(nn.Module):
         nearest, index = gap.min(-1)
         way = (ahead[:, None, :, :3, :3] @ _at(out, index).unsqueeze(-1)).squeeze(-1)
         theirs = nn.functional.pad(shapes, (0, 1), value=1.0).transpose(-1, -2).unsqueeze(1)  # (B, 1, P, 4, n)
-        box = _box(shapes[:, plan.movers].unsqueeze(2))
         gap_back, out_back = _box_gap(inverse(local_next)[:, :, :, :3] @ theirs, *box)
         nearest_back, index_back = (gap_back + _APART * plan.itself.unsqueeze(-1)).min(-1)
         way_back = -(there[:, :, None, :3, :3] @ _at(out_back, index_back).unsqueeze(-1)).squeeze(-1)
@@ -241,10 +245,19 @@ class MoverContacts(nn.Module):
         return smallest, touching, chosen * (smallest < 0.0).unsqueeze(-1)
 
     @staticmethod
-    def _pairs(now: Tensor, moves: Tensor, movers: list[int], gap: Tensor, gap_next: Tensor) -> Tensor:
-        """Features (B, F, P, Q) of pairs."""
-        offset = now[:, movers][:, :, None, :3, 3] - now[:, None, :, :3, 3]
-        theirs, own = moves.unsqueeze(1), moves[:, movers].unsqueeze(2)
+    def _pairs(now: Tensor, here: Tensor, moves: Tensor, own: Tensor, gap: Tensor, gap_next: Tensor) -> Tensor:
+        """Features (B, F, P, Q) of pairs.
+
+        Args:
+            now: partners' poses (B, P, 4, 4).
+            here: movers' poses (B, F, 4, 4).
+            moves: partners' last twists (B, P, 6).
+            own: movers' last twists (B, F, 6).
+            gap: smallest gaps (B, F, P) now, metres.
+            gap_next: the same one step ahead.
+        """
+        offset = here[:, :, None, :3, 3] - now[:, None, :, :3, 3]
+        theirs, own = moves.unsqueeze(1), own.unsqueeze(2)
         carried = theirs[..., :3] + torch.linalg.cross(theirs[..., 3:].expand_as(offset), offset)
         slip = (own[..., :3] - carried).square().sum(-1).clamp_min(1e-12).sqrt()
         speed = own[..., :3].square().sum(-1).clamp_min(1e-12).sqrt().expand_as(gap)
@@ -268,6 +281,13 @@ def _at(vectors: Tensor, index: Tensor) -> Tensor:
 def _box(shapes: Tensor) -> tuple[Tensor, Tensor]:
     """Corners (..., 3, 1) of the boxes around points (..., n, 3)."""
     return shapes.amin(-2).unsqueeze(-1), shapes.amax(-2).unsqueeze(-1)
+
+
+def _box_distance(points: Tensor, low: Tensor, high: Tensor) -> Tensor:
+    """Signed distance (..., n) of points (..., 3, n) to a box."""
+    beyond = torch.maximum(low - points, points - high)
+    outside = beyond.clamp_min(0.0).square().sum(-2).clamp_min(1e-12).sqrt()
+    return outside + beyond.amax(-2).clamp_max(0.0)
 
 
 def _box_gap(points: Tensor, low: Tensor, high: Tensor) -> tuple[Tensor, Tensor]:

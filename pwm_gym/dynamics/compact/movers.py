@@ -120,9 +120,10 @@ class MoverMotion(nn.Module):
 
     def _decode(self, plan: Plan, contacts: Contacts, tokens: Tensor) -> _Decoded:
         own = tokens[:, plan.movers]
-        query, key = self.query(own).unflatten(-1, (2, -1)), self.key(tokens).unflatten(-1, (2, -1))
+        query = self.query(own).unflatten(-1, (2, -1))
+        key = self.key(tokens[:, : plan.partners]).unflatten(-1, (2, -1))
         matched = torch.einsum("bfgc,bpgc->bfpg", query, key) * _MATCH**-0.5
-        bias = torch.cat([self.link_bias, self.kind_bias[plan.kinds]])  # (P, 2)
+        bias = torch.cat([self.link_bias, self.kind_bias[plan.kinds]])[: plan.partners]  # (P, 2)
         gates = _gate(matched + self.pair(contacts.pairs) + bias)
         carry = gates[..., 0] * ~plan.itself
         carry = carry / carry.sum(-1, keepdim=True).clamp_min(1.0)
@@ -153,7 +154,7 @@ class MoverMotion(nn.Module):
             frame: rotation (B, 3, 3) of the frame of reference.
         """
         count = len(plan.loose)
-        known = list(range(plan.links)) + plan.articulated
+        known = [*range(plan.links), *(k for k in plan.articulated if k < plan.partners)]
         push = contacts.push[:, :count]
         twisted = decoded.learned[:, :count]
         turned = frame.transpose(1, 2)
@@ -207,7 +208,8 @@ class MoverMotion(nn.Module):
         touching = contacts.touching[:, first:]  # (B, S, P, 3)
         now = poses[:, 0]
         moved = torch.cat([twist(now[:, : plan.links], following[:, : plan.links]), moves[:, plan.links :]], 1)
-        offset = touching - now[:, None, :, :3, 3]
+        moved, partners = moved[:, : plan.partners], now[:, : plan.partners]
+        offset = touching - partners[:, None, :, :3, 3]
         velocity = moved[:, None, :, :3] + torch.linalg.cross(moved[:, None, :, 3:].expand_as(offset), offset)
         along = self._along(plan, now, touching)  # (B, S, P, 3)
         carried = (decoded.carry[:, first:] * (velocity * along).sum(-1)).sum(-1)

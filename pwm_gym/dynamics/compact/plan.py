@@ -33,8 +33,10 @@ class Plan:
     """Places of what contact moves along a joint, parents first."""
     kinds: Tensor
     """Joint kind (P - L,) of each entity behind the links."""
+    partners: int
+    """How many of :attr:`order`, its first, may touch a mover: all, or the links alone where nothing else is there."""
     itself: Tensor
-    """Bool (F, P): each mover's own place."""
+    """Bool (F, partners): each mover's own place."""
     tree: JointTree
     """Joints of the articulated movers, of entities in :attr:`order`."""
     floor: float
@@ -60,6 +62,7 @@ class Plan:
         )
         loose, articulated = list(sorted_layout.loose), list(sorted_layout.articulated)
         movers = loose + articulated
+        partners = len(links) if len(order) == len(links) + 1 else len(order)
         walls = [s for s in layout.supports if not s.plane]
         poses = matrix_from_pose7(torch.tensor([s.origin for s in walls], dtype=torch.float32).reshape(-1, 7))
         kinds = [JOINT_KINDS.index(e.joint.kind) for e in sorted_layout.entities[len(links) :]]
@@ -71,7 +74,8 @@ class Plan:
             loose=loose,
             articulated=articulated,
             kinds=torch.tensor(kinds, dtype=torch.long, device=device),
-            itself=torch.tensor([[p == m for p in range(len(order))] for m in movers], device=device),
+            partners=partners,
+            itself=torch.tensor([[p == m for p in range(partners)] for m in movers], device=device),
             tree=JointTree(sorted_layout, articulated).to(device),
             floor=layout.floor,
             walls=inverse(poses).to(device),
