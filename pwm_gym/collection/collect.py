@@ -26,7 +26,7 @@ from pwm_gym.tasks import Task, get_task
 
 __all__ = ["CollectConfig", "collect", "record_episode"]
 
-_EXPERT_STEPS = 120  # a demonstration that has not succeeded by then ends; the slowest expert takes about 110
+_PATIENCE = 1.8  # of an expert's usual length, after which a demonstration that has not succeeded ends
 _PRACTICE_STEPS = 80
 _PLANNED_STEPS = 60
 _KINDS = ("demonstration", "practice", "on_policy")
@@ -186,12 +186,13 @@ def _collect_shard(job: _Job) -> int:
         _SIMULATORS[task.name] = task.simulator()
     simulator = _SIMULATORS[task.name]
 
-    limits = {"demonstration": _EXPERT_STEPS, "practice": _PRACTICE_STEPS, "on_policy": _PLANNED_STEPS}
+    longest = round(_PATIENCE * task.expert_steps)
+    limits = {"demonstration": longest, "practice": _PRACTICE_STEPS, "on_policy": _PLANNED_STEPS}
     behaviour = _behaviours(job, task)
     episodes = []
     for seed in job.seeds:
         episodes.append(record_episode(simulator, seed, behaviour, limits[job.kind]))
-        _save_assets(job.config.out, task, simulator)
+        _save_assets(job.config.folder, task, simulator)
     write_shard(job.path, episodes, {"format": EPISODES, "schema": SCHEMA, "task": task.name})
     return len(episodes)
 

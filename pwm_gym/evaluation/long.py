@@ -35,6 +35,9 @@ class _Mixed:
         self._task, self._rng = task, rng
         self._expert, self._left, self._wild = task.expert(rng), int(rng.integers(*_SEGMENT)), False
 
+    def start(self, simulator: Simulator) -> None:
+        pass
+
     def act(self, simulator: Simulator) -> np.ndarray:
         if self._left == 0:
             self._left, self._wild = int(self._rng.integers(*_SEGMENT)), not self._wild

@@ -98,7 +98,8 @@ def run_distractor_table(
         "influence", as of :func:`distractor_influence` under uniformly random actions; "planning", as of
         :func:`plan_among_distractors`, or None.
     """
-    plain = [checkpoint.bank.scene(k % len(checkpoint.bank)) for k in range(episodes)]
+    bank = checkpoint.bank(task.name)
+    plain = [bank.scene(k % len(bank)) for k in range(episodes)]
     cluttered = [add_distractors(scene, task.objects[0], k) for k, scene in enumerate(plain)]
     actions = np.random.default_rng(0).uniform(-1.0, 1.0, (episodes, horizon, task.action_size))
     planning = None

@@ -234,7 +234,7 @@ def _model(member: Member, data: Path, out: Path, task_name: str) -> WorldModel:
         return load_checkpoint(folder).model
     if member.kind == "simulator":
         return SimulatorModel(task.simulator(), task.layout, task.name, task.goal_size)
-    return fit_baseline(member.source, task, load_split(data, "train", task.name))
+    return fit_baseline(member.source, load_split(data, "train", task.name))
 
 
 def _plan(model: WorldModel, member: Member, task: Task, chunk: int, episodes: int, folder: Path) -> dict[str, Any]:

@@ -67,8 +67,7 @@ def run_shared_table(
 
 def _tasks_of(folder: Path) -> list[str]:
     """Tasks that a checkpoint was trained on."""
-    checkpoint = load_checkpoint(folder)
-    return list(checkpoint.description.get("tasks", [checkpoint.task]))
+    return list(load_checkpoint(folder).tasks)
 
 
 def _piece(folder: Path, task: str, data: Path, out: Path, episodes: int) -> Piece:

@@ -66,7 +66,7 @@ class RobotMotion(nn.Module):
             ArmResponse(arms[n], control, arm_width) if n in arms else nn.Identity() for n in names
         )
         self.known = [n in arms for n in names]
-        sizes = [arms[n].chain.joints if n in arms else 0 for n in names]  # type: ignore[union-attr]
+        sizes = [arms[n].chain.joints if n in arms else 0 for n in names]
         self.slices = [slice(sum(sizes[:k]), sum(sizes[: k + 1])) for k in range(len(names))]
         self.robot_slices = [arms[n].joints for n in names if n in arms]
         self.joints = sum(sizes)
