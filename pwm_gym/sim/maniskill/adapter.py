@@ -270,7 +270,7 @@ def _make(task: str, control_mode: str, robot_uids: str | None) -> Any:
     import mani_skill.envs  # noqa: F401  (registers the tasks)
 
     allow_headless()  # once more, for the modules that the import has loaded
-    robot = {} if robot_uids is None else {"robot_uids": robot_uids}
+    robot: dict[str, Any] = {} if robot_uids is None else {"robot_uids": robot_uids}
     return gym.make(
         task,
         num_envs=1,
