@@ -338,7 +338,7 @@ def _set_down(name: str, target: Place) -> Term:
 
 
 def released(name: str, target: Place) -> Term:
-    """An object set down at its place with no command to hold it: up to 7, from 5.5 while the fingers still touch it.
+    """An object set down at its place with no command to hold it: up to 7.5, from 6 while the fingers still touch it.
 
     Always more than :func:`carry_onto` gives for holding it there, so that opening the fingers pays at once.
     """
@@ -347,7 +347,7 @@ def released(name: str, target: Place) -> Term:
     def term(points: Points, info: Info) -> Tensor:
         opened = (contacts.finger_gaps(points, name).amin(-1) / 0.01).clamp(0, 1)
         free = info["action"][..., -1] >= 0
-        return set_down(points, info) * free * (5.5 + 1.5 * opened)
+        return set_down(points, info) * free * (6.0 + 1.5 * opened)
 
     return term
 
@@ -359,11 +359,12 @@ def finished(name: str, target: Place) -> Term:
 
 
 def retreat(name: str, target: Place, height: float = 0.06) -> Term:
-    """How much the tool lacks to ``height`` metres over an object that stands released at its place, in [0, 1]."""
+    """Distance of the tool, in units of ``height``, from ``height`` metres over an object that stands released."""
     rule = finished(name, target)
+    above = on_top(name, height)
 
     def term(points: Points, info: Info) -> Tensor:
-        above = contacts.tool_centre(points)[..., 2] - contacts.centre(points, name)[..., 2]
-        return rule(points, info) * ((height - above) / height).clamp(0, 1)
+        distance = (above(points, info) - contacts.tool_centre(points)).norm(dim=-1)
+        return rule(points, info) * (distance / height).clamp_max(2.0)
 
     return term
