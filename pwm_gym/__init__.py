@@ -18,6 +18,7 @@ from pwm_gym.costs import register_cost, register_grasp, register_success, regis
 from pwm_gym.errors import CheckpointError, DatasetError, PwmGymError, SceneError, UnknownNameError
 from pwm_gym.registration import register_envs
 from pwm_gym.scene import Scene
+from pwm_gym.tasks import register_task
 
 if TYPE_CHECKING:
     from pwm_gym import (
@@ -52,6 +53,7 @@ __all__ = [
     "register_cost",
     "register_grasp",
     "register_success",
+    "register_task",
     "register_terms",
     "tasks",
     "training",

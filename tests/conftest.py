@@ -11,6 +11,7 @@ import pwm_gym
 from pwm_gym.collection import CollectConfig, collect
 from pwm_gym.costs import COSTS
 from pwm_gym.data import load_split
+from pwm_gym.tasks import get_task
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -89,6 +90,14 @@ def replace_model():
 def simulator(sim):
     """PickCube's simulator itself."""
     return sim.unwrapped.simulator
+
+
+@pytest.fixture(scope="session")
+def stack_simulator():
+    """StackCube's simulator, made once; each test resets it."""
+    simulator = get_task("StackCube").simulator()
+    yield simulator
+    simulator.close()
 
 
 @pytest.fixture(scope="session")

@@ -289,9 +289,9 @@ def carry(name: str, target: Place) -> Term:
     return term
 
 
-def _nearness(distance: Tensor) -> Tensor:
-    """4 at no distance; it falls steeply within 3 cm, and by 8 a metre beyond."""
-    return 4.0 - 8.0 * distance.clamp_max(0.4) - torch.tanh(distance / 0.03)
+def _nearness(distance: Tensor, most: float = 4.0, farthest: float = 0.4) -> Tensor:
+    """``most`` at no distance; it falls steeply within 3 cm, and by 8 a metre up to ``farthest`` metres."""
+    return most - 8.0 * distance.clamp_max(farthest) - torch.tanh(distance / 0.03)
 
 
 def settle(name: str, target: Place, arm: JointSpeeds, limit: float) -> Term:
@@ -306,7 +306,7 @@ def settle(name: str, target: Place, arm: JointSpeeds, limit: float) -> Term:
 
 
 def carry_onto(name: str, target: Place, clearance: float = 0.02) -> Term:
-    """As :func:`carry`, by a way from above: lifted first, over the place, then lowered.
+    """As :func:`carry`, up to 5, by a way from above: lifted first, over the place, then lowered.
 
     Args:
         name: the object.
@@ -319,7 +319,7 @@ def carry_onto(name: str, target: Place, clearance: float = 0.02) -> Term:
         beside = offset[..., :2].norm(dim=-1)
         height = offset[..., 2] - clearance * ((beside - 0.005) / 0.04).clamp(0, 1)
         way = beside + torch.where(height < 0, -1.5 * height, 0.8 * height)
-        return contacts.firmness(points, info["action"], name) * _nearness(way)
+        return contacts.firmness(points, info["action"], name) * _nearness(way, 5.0, 0.45)
 
     return term
 
@@ -338,16 +338,16 @@ def _set_down(name: str, target: Place) -> Term:
 
 
 def released(name: str, target: Place) -> Term:
-    """An object set down at its place with no command to hold it: up to 6, from 4.5 while the fingers still touch it.
+    """An object set down at its place with no command to hold it: up to 7.5, from 6 while the fingers still touch it.
 
-    Always more than :func:`carry` gives for holding it there, so that opening the fingers pays at once.
+    Always more than :func:`carry_onto` gives for holding it there, so that opening the fingers pays at once.
     """
     set_down = _set_down(name, target)
 
     def term(points: Points, info: Info) -> Tensor:
         opened = (contacts.finger_gaps(points, name).amin(-1) / 0.01).clamp(0, 1)
         free = info["action"][..., -1] >= 0
-        return set_down(points, info) * free * (4.5 + 1.5 * opened)
+        return set_down(points, info) * free * (6.0 + 1.5 * opened)
 
     return term
 
@@ -359,11 +359,12 @@ def finished(name: str, target: Place) -> Term:
 
 
 def retreat(name: str, target: Place, height: float = 0.06) -> Term:
-    """How much the tool lacks to ``height`` metres over an object that stands released at its place, in [0, 1]."""
+    """Distance of the tool, in units of ``height``, from ``height`` metres over an object that stands released."""
     rule = finished(name, target)
+    above = on_top(name, height)
 
     def term(points: Points, info: Info) -> Tensor:
-        above = contacts.tool_centre(points)[..., 2] - contacts.centre(points, name)[..., 2]
-        return rule(points, info) * ((height - above) / height).clamp(0, 1)
+        distance = (above(points, info) - contacts.tool_centre(points)).norm(dim=-1)
+        return rule(points, info) * (distance / height).clamp_max(2.0)
 
     return term

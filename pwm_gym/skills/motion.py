@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from pwm_gym.errors import PwmGymError
 from pwm_gym.robots import Robot
 
-__all__ = ["drive", "position", "rotation_about_z", "side_yaw", "tool_pose", "yaw_error"]
+__all__ = ["drive", "side_yaw", "tool_pose", "yaw_error"]
 
 _FASTEST_TURN = 0.1  # radians a step
 
@@ -38,17 +38,8 @@ def drive(robot: Robot, offset: np.ndarray, speed: float, gripper: float, turn: 
         raise PwmGymError(f"robot {robot.name!r} has no action of a tool's motion; scripted skills need one")
     distance = float(np.linalg.norm(offset))
     step = offset * min(1.0, speed / max(distance, 1e-9))
-    return robot.action(step, rotation_about_z(np.clip(turn, -_FASTEST_TURN, _FASTEST_TURN)), gripper)
-
-
-def rotation_about_z(angle: float) -> np.ndarray:
-    """Rotation vector (3,) of a turn about the vertical axis, radians."""
-    return np.array([0.0, 0.0, angle])
-
-
-def position(pose: np.ndarray) -> np.ndarray:
-    """Position (3,) of a pose (7,)."""
-    return pose[:3]
+    rotation = np.array([0.0, 0.0, np.clip(turn, -_FASTEST_TURN, _FASTEST_TURN)])
+    return robot.action(step, rotation, gripper)
 
 
 def side_yaw(pose: np.ndarray) -> float:

@@ -13,7 +13,7 @@ from pwm_gym.robots import Control, Robot
 from pwm_gym.scene import Layout
 from pwm_gym.sim import Simulator
 
-__all__ = ["TASKS", "Expert", "Task", "get_task", "register_task"]
+__all__ = ["TASKS", "Expert", "Task", "get_task", "on_registration", "register_task"]
 
 
 class Expert(Protocol):
@@ -75,12 +75,30 @@ TASKS: dict[str, Task] = {}
 """Task name -> task."""
 
 
+_OBSERVERS: list[Callable[[Task], None]] = []
+
+
 def register_task(task: Task) -> Task:
-    """Add ``task`` to the registry; a name can be taken once."""
+    """Add ``task`` to the registry, so that every command and Gymnasium know it at once.
+
+    Raises:
+        ValueError: the name is taken.
+    """
     if task.name in TASKS:
         raise ValueError(f"task {task.name!r} is registered already")
     TASKS[task.name] = task
+    for observer in _OBSERVERS:
+        observer(task)
     return task
+
+
+def on_registration(observer: Callable[[Task], None]) -> None:
+    """Call ``observer`` with every task: those registered now, and each that will be."""
+    if observer in _OBSERVERS:
+        return
+    _OBSERVERS.append(observer)
+    for task in TASKS.values():
+        observer(task)
 
 
 def get_task(name: str) -> Task:

@@ -77,7 +77,7 @@ class StackCubeExpert:
     @classmethod
     def sample(cls, rng: np.random.Generator) -> StackCubeExpert:
         """Expert of a random speed, hover height and clearance."""
-        speed, hover, clearance = rng.uniform(0.0095, 0.019), rng.uniform(0.06, 0.10), rng.uniform(0.02, 0.05)
+        speed, hover, clearance = rng.uniform(0.011, 0.019), rng.uniform(0.06, 0.10), rng.uniform(0.02, 0.05)
         a, b = _LAYOUT.index("cube_a"), _LAYOUT.index("cube_b")
         return cls(TopGrasp(PANDA, a, _WIDTH, speed, hover, obstacles=(b,)), Place(PANDA, a, _WIDTH, speed, clearance))
 

@@ -1,11 +1,15 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
 
 from pwm_gym.collection.behaviours import Demonstration, Practice
+from pwm_gym.collection.extents import Extents
+from pwm_gym.collection.starts import perturb
 from pwm_gym.tasks import get_task
 
-TASK = get_task("PickCube")
+TASK, STACK = get_task("PickCube"), get_task("StackCube")
 
 
 class Still:
@@ -116,3 +120,96 @@ def test_a_toss_is_the_expert_and_then_random_actions():
         tail = actions[expert:]
         assert 10 <= len(tail) <= 25 and (np.abs(tail) <= 1).all()
     assert 13 <= min(lengths) < max(lengths) <= 60
+
+
+def run_segment(simulator, kind, seed, task=STACK):
+    """Poses (T + 1, E, 7) of one segment of practice from the episode of ``seed``."""
+    simulator.reset(seed)
+    practice = Practice(task, np.random.default_rng(seed))
+    practice._simulator = simulator
+    poses = [simulator.poses()]
+    for action in getattr(practice, kind)():
+        simulator.step(action)
+        poses.append(simulator.poses())
+    return np.array(poses)
+
+
+def test_pushes_move_objects_without_lifting_them(stack_simulator):
+    moved = []
+    for seed in range(4):
+        poses = run_segment(stack_simulator, "_push", seed)
+        moved.append(np.linalg.norm(poses[-1, 3:, :2] - poses[0, 3:, :2], axis=-1).max())
+        assert poses[:, 3:, 2].max() < 0.06
+    assert np.mean(np.array(moved) > 0.01) >= 0.5, moved
+
+
+def test_drops_let_an_object_fall_from_mid_air(simulator):
+    drops = []
+    for seed in range(4):
+        heights = run_segment(simulator, "_drop", seed, TASK)[:, 3, 2]
+        drops.append(heights.max() > 0.035 and heights[-1] < heights.max() - 0.015)
+    assert sum(drops) >= 1, drops
+
+
+def test_every_object_is_practised_with():
+    practice = Practice(STACK, np.random.default_rng(0))
+    names = [practice._any_object() for _ in range(200)]
+    assert {*names} == {"cube_a", "cube_b"} and 60 < names.count("cube_a") < 140
+
+
+def test_practice_needs_no_tool():
+    """A robot whose tool no script knows is moved by its expert and by noise."""
+    robot = replace(TASK.robot, tool=None, action=None)
+    practice = Practice(replace(TASK, robot=robot), np.random.default_rng(0))
+    still = Still()
+    actions = np.array([practice.act(still) for _ in range(200)])
+    assert np.isfinite(actions).all() and len(np.unique(actions.round(4), axis=0)) > 50
+
+
+def test_perturbed_scenes_start_at_rest_and_inside_nothing(stack_simulator):
+    """What starts inside something is thrown out: in the first step nothing is faster than a fall."""
+    moved, fell = [], 0
+    for seed in range(10):
+        stack_simulator.reset(seed)
+        before = stack_simulator.poses()
+        perturb(stack_simulator, STACK.layout, np.random.default_rng(seed), Extents(stack_simulator), STACK.robot.tool)
+        start = stack_simulator.poses()
+        np.testing.assert_array_equal(start[:3], before[:3])
+        moved.append((np.abs(start - before)[3:].max(-1) > 1e-6).sum())
+        stack_simulator.step(np.array([0, 0, 0, 0, 0, 0, 1], np.float32))
+        first = stack_simulator.poses()[3:, :3] - start[3:, :3]
+        assert np.linalg.norm(first, axis=-1).max() < 0.0155, (seed, first)
+        fell += (first[:, 2] < -0.014).any()
+    assert moved == [1] * 10
+    assert 1 <= fell <= 9
+
+
+def test_about_a_seventh_of_practice_episodes_start_unusually(stack_simulator):
+    class Counting:
+        placed = 0
+
+        def place(self, name, pose):
+            Counting.placed += 1
+
+        def __getattr__(self, name):
+            return getattr(stack_simulator, name)
+
+    class Full(Counting):
+        def reset(self, seed): ...
+
+    for seed in range(300):
+        Practice(STACK, np.random.default_rng(seed)).start(Full())
+    assert 25 <= Counting.placed <= 65
+    for seed in range(20):
+        Practice(STACK, np.random.default_rng(seed), unusual=0.0).start(Full())
+        Demonstration(STACK, np.random.default_rng(seed)).start(Full())
+    assert Counting.placed <= 65
+
+
+def test_a_simulator_that_cannot_place_bodies_starts_as_it_is():
+    perturb(Still(), TASK.layout, np.random.default_rng(0), Extents(Still()))
+
+
+def test_a_switch_comes_within_the_experts_length():
+    steps = [Demonstration(STACK, np.random.default_rng(s), randomise=1.0).switch for s in range(500)]
+    assert 90 < max(steps) < STACK.expert_steps and min(steps) < 5

@@ -3,13 +3,14 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from pwm_gym.costs import cost_info, get_cost, get_grasp, get_success, terms
+from pwm_gym.costs import contacts, cost_info, get_cost, get_grasp, get_success
+from pwm_gym.costs.motion import angular_velocity, joint_speed, spin
 from pwm_gym.data import KINDS
 from pwm_gym.dynamics.response import EndEffector
+from pwm_gym.robots.panda import JOINT_SPEEDS
 from pwm_gym.scene import RigidState, batch_state
 from pwm_gym.scene.se3 import make_pose
 from pwm_gym.tasks import get_task
-from pwm_gym.tasks.pick_cube import _joint_speed
 
 TASK = get_task("PickCube")
 HAND, CUBE = TASK.layout.index("hand"), TASK.layout.index("cube")
@@ -49,7 +50,7 @@ def test_success_is_maniskills(train_split):
 def test_pinched_is_maniskills_grasp_on_expert_episodes(train_split):
     for episode in experts(train_split):
         points, info = view(train_split, episode)
-        found = terms.pinched(points, info["action"], "cube").numpy()
+        found = contacts.pinched(points, info["action"], "cube").numpy()
         assert episode.grasped.any()
         assert (found == episode.grasped).mean() > 0.93
 
@@ -59,7 +60,7 @@ def test_pinched_is_maniskills_grasp_on_practice_episodes(train_split):
     agree = []
     for episode in practice:
         points, info = view(train_split, episode)
-        agree.append(terms.pinched(points, info["action"], "cube").numpy() == episode.grasped)
+        agree.append(contacts.pinched(points, info["action"], "cube").numpy() == episode.grasped)
     assert len(practice) >= 2
     assert np.concatenate(agree).mean() > 0.95
 
@@ -69,8 +70,8 @@ def test_the_joint_speed_is_the_arms_fastest_joints(train_split):
     found, truth = [], []
     for episode in experts(train_split):
         points, info = view(train_split, episode)
-        truth.append(_joint_speed(points, info).numpy())
-        found.append(_joint_speed(points, {**info, "joints": None}).numpy())
+        truth.append(joint_speed(points, info, JOINT_SPEEDS).numpy())
+        found.append(joint_speed(points, {**info, "joints": None}, JOINT_SPEEDS).numpy())
         np.testing.assert_allclose(truth[-1], 20.0 * np.abs(episode.joints[1:, 1, :7]).max(1), rtol=1e-5)
     found, truth = np.concatenate(found), np.concatenate(truth)
     assert np.corrcoef(found, truth)[0, 1] > 0.95
@@ -101,9 +102,9 @@ PRESSED = 0.018  # the pads sink 2 mm into the cube's sides at 20 mm
 
 def test_a_real_grasp_is_pinched(grip):
     points, info = grip(PRESSED, (0.0, 0.0, 0.0))
-    assert terms.pinched(points, info["action"], "cube").item()
+    assert contacts.pinched(points, info["action"], "cube").item()
     assert info["grasped"].item()
-    assert not terms.pinched(points, -info["action"], "cube").item()  # commanded open
+    assert not contacts.pinched(points, -info["action"], "cube").item()  # commanded open
 
 
 @pytest.mark.parametrize(
@@ -118,20 +119,20 @@ def test_a_real_grasp_is_pinched(grip):
 )
 def test_pinched_is_not_fooled(grip, opening, offset):
     points, info = grip(opening, offset)
-    assert not terms.pinched(points, info["action"], "cube").item()
+    assert not contacts.pinched(points, info["action"], "cube").item()
 
 
 @pytest.mark.parametrize(("sideways", "held"), [(0.0, True), (0.026, True), (0.034, False)])
 def test_an_edge_of_the_cube_is_pinched_until_the_pads_are_past_it(grip, sideways, held):
     points, info = grip(PRESSED, (sideways, 0.0, 0.0))
-    assert terms.pinched(points, info["action"], "cube").item() == held
+    assert contacts.pinched(points, info["action"], "cube").item() == held
 
 
 def test_a_half_shut_gripper_pinches(grip):
     points, info = grip(0.0195, (0.0, 0.0, 0.0))
     half = torch.zeros_like(info["action"])
-    assert terms.pinched(points, half, "cube").item()
-    assert not terms.near_and_shut(points, half, "cube").item()
+    assert contacts.pinched(points, half, "cube").item()
+    assert not contacts.near_and_shut(points, half, "cube").item()
 
 
 def test_the_spin_is_the_turn_about_the_vertical():
@@ -143,30 +144,42 @@ def test_the_spin_is_the_turn_about_the_vertical():
     )
     points, velocity = torch.as_tensor(after), torch.as_tensor(after - before)
     torch.testing.assert_close(
-        terms.spin({"hand": points}, {"hand": velocity}, "hand"), torch.as_tensor(turns), atol=1e-3, rtol=0
+        spin({"hand": points}, {"hand": velocity}, "hand"), torch.as_tensor(turns), atol=1e-3, rtol=0
     )
+
+
+def test_the_angular_velocity_is_the_turn_about_any_axis():
+    rng = np.random.default_rng(0)
+    before = rng.normal(size=(4, 40, 3))
+    turns = rng.normal(0.0, 0.01, (4, 3))
+    after = np.stack(
+        [p @ Rotation.from_rotvec(t).as_matrix().T + [0.1, 0, 0.2] for p, t in zip(before, turns, strict=True)]
+    )
+    points, velocity = {"cube": torch.as_tensor(after)}, {"cube": torch.as_tensor(after - before)}
+    found = angular_velocity(points, velocity, "cube").numpy()
+    np.testing.assert_allclose(found, turns, atol=5e-4)
 
 
 def test_shut_above_the_cube_is_near_but_not_pinched_and_pays_nothing(grip):
     fooled, real = grip(0.0, (0.0, 0.0, 0.02)), grip(PRESSED, (0.0, 0.0, 0.0))
-    assert terms.near_and_shut(fooled[0], fooled[1]["action"], "cube").item()
+    assert contacts.near_and_shut(fooled[0], fooled[1]["action"], "cube").item()
     parts = get_cost("pick_cube").evaluate(*fooled)
     assert parts["contact"].item() == parts["placing"].item() == 0
     plan = get_cost("pick_cube_plan")
-    assert plan.evaluate(*real)["early"].item() < 0.5 * plan.evaluate(*fooled)["early"].item()
+    assert plan.evaluate(*real)["premature_close"].item() < 0.5 * plan.evaluate(*fooled)["premature_close"].item()
     assert plan(*real).item() < plan(*fooled).item() - 2
 
 
 def test_the_tool_centre_is_between_the_finger_tips(grip):
     for opening in (0.0, 0.02, 0.04):
         points, _ = grip(opening, (0.0, 0.0, 0.0))
-        gap = terms.tool_centre(points)[0] - torch.tensor([0.6, 0.0, 0.2])
+        gap = contacts.tool_centre(points)[0] - torch.tensor([0.6, 0.0, 0.2])
         assert gap.norm() < 0.003
 
 
 @pytest.mark.parametrize(("opening", "gap"), [(0.02, 0.0), (0.03, 0.01), (0.015, -0.005)])
 def test_finger_gaps_measure_from_pad_to_side(grip, opening, gap):
-    gaps = terms.finger_gaps(grip(opening, (0.0, 0.0, 0.0))[0], "cube")
+    gaps = contacts.finger_gaps(grip(opening, (0.0, 0.0, 0.0))[0], "cube")
     torch.testing.assert_close(gaps, torch.full((1, 2), gap), atol=1e-3, rtol=0)
 
 

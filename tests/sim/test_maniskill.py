@@ -5,11 +5,12 @@ import pytest
 import torch
 
 from pwm_gym.dynamics.response import EndEffector
-from pwm_gym.errors import SceneError
+from pwm_gym.errors import PwmGymError, SceneError, UnknownNameError
 from pwm_gym.robots.panda import tool_pose
 from pwm_gym.scene import Scene
 from pwm_gym.scene.se3 import matrix_from_pose7
-from pwm_gym.sim import SimOutcome, Simulator
+from pwm_gym.sim import PlacesBodies, SimOutcome, Simulator
+from pwm_gym.sim.maniskill import ManiSkillSimulator
 from pwm_gym.sim.maniskill.headless import allow_headless
 from pwm_gym.tasks import get_task
 
@@ -36,7 +37,7 @@ def expert_steps(simulator, seed, count):
 
 
 def test_is_a_simulator(simulator):
-    assert isinstance(simulator, Simulator)
+    assert isinstance(simulator, Simulator) and isinstance(simulator, PlacesBodies)
     assert simulator.action_size == TASK.action_size
 
 
@@ -211,3 +212,118 @@ def test_contacts_too_do_not_depend_on_earlier_episodes(simulator):
             target = simulator.poses()[CUBE, :3] - tool_pose(simulator.poses())[:3]
             simulator.step(np.r_[np.clip(10 * target, -1, 1), wander.uniform(-1, 1, 4)])
         np.testing.assert_array_equal(grasp(200_000), truth)
+
+
+def test_a_placed_body_is_at_rest_and_then_falls(simulator):
+    simulator.reset(2)
+    pose = np.array([0.5, 0.3, 0.4, *[0.5**0.5, 0, 0, 0.5**0.5]])
+    simulator.place("cube", pose)
+    np.testing.assert_allclose(simulator.poses()[CUBE], pose, atol=1e-6)
+    heights = [0.4]
+    for _ in range(3):
+        simulator.step(np.zeros(7))
+        heights.append(simulator.poses()[CUBE, 2])
+    falls = -9.81 * 0.01**2 * np.array([15, 40, 65])  # five substeps of 10 ms each
+    np.testing.assert_allclose(np.diff(heights), falls, atol=2e-4)
+
+
+def test_only_free_bodies_can_be_placed(simulator):
+    with pytest.raises(SceneError, match="'hand' is a link of the robot"):
+        simulator.place("hand", simulator.poses()[0])
+    with pytest.raises(UnknownNameError, match="unknown entity 'cub'.*Did you mean 'cube'"):
+        simulator.place("cub", simulator.poses()[CUBE])
+
+
+def test_a_task_without_a_goal_is_restored_too(stack_simulator):
+    stack = get_task("StackCube")
+    stack_simulator.reset(1)
+    for _ in range(5):
+        stack_simulator.step(np.array([0.2, 0, -0.5, 0, 0, 0, 1.0]))
+    poses, joints = stack_simulator.poses(), stack_simulator.joints()
+    clouds = np.zeros((stack.layout.points, 3), np.float32)
+    scene = Scene("StackCube", stack.layout, clouds, np.stack([poses] * 3), stack_simulator.goal(), joints)
+    stack_simulator.reset(2)
+    assert not np.allclose(stack_simulator.poses()[3:], poses[3:], atol=1e-3)
+    stack_simulator.restore(scene)
+    np.testing.assert_allclose(stack_simulator.poses(), poses, atol=1e-4)
+    np.testing.assert_allclose(stack_simulator.joints(), joints, atol=1e-6)
+
+
+def test_a_scene_of_other_entities_is_refused(stack_simulator, simulator):
+    simulator.reset(0)
+    with pytest.raises(SceneError, match=r"entities are \('hand', .*'cube'\); expected .*'cube_b'"):
+        stack_simulator.restore(scene_of(simulator, simulator.poses()))
+
+
+def test_assets_are_the_entities_own_where_they_never_differ(simulator):
+    assert simulator.assets() == TASK.layout.names
+
+
+class Tinted:
+    """An asset choice that notes what it is asked for; ``env.chosen`` is the present asset of cube B."""
+
+    def __init__(self):
+        self.forced = []
+
+    def force(self, env, assets):
+        self.forced.append(assets)
+        env.chosen = assets["cube_b"] if assets else f"asset{len(self.forced)}"
+
+    def names(self, env):
+        return {"cube_b": env.chosen}
+
+
+@pytest.fixture(scope="module")
+def tinted():
+    """StackCube's with assets, an entity told by a function and grasps told by the robot."""
+    stack = get_task("StackCube")
+    bodies = {**stack.robot.links, "cube_a": lambda env: env.cubeA, "cube_b": "cubeB"}
+    choice = Tinted()
+    simulator = ManiSkillSimulator("StackCube-v1", bodies, robot_uids="panda", grasped="cube_a", assets=choice)
+    yield simulator, choice
+    simulator.close()
+
+
+def test_the_seed_chooses_assets_and_a_scene_forces_them(tinted):
+    simulator, choice = tinted
+    stack = get_task("StackCube")
+    simulator.reset(0)
+    assert choice.forced[-1] is None
+    own = simulator.assets()
+    assert own[:4] == stack.layout.names[:4] and own[4].startswith("asset")
+    clouds = np.zeros((stack.layout.points, 3), np.float32)
+    poses = np.stack([simulator.poses()] * 3)
+    scene = Scene("StackCube", stack.layout, clouds, poses, simulator.goal(), simulator.joints())
+    simulator.restore(scene)  # a scene that names none keeps the episode's
+    assert simulator.assets() == own
+    other = (*stack.layout.names[:4], "other")
+    simulator.restore(replace(scene, assets=other), rebuild=False)  # which it has to, nevertheless
+    assert choice.forced[-1]["cube_b"] == "other" and simulator.assets() == other
+    np.testing.assert_allclose(simulator.poses(), poses[0], atol=1e-4)
+
+
+def test_a_grasp_can_be_told_by_the_robot(tinted):
+    simulator, _ = tinted
+    stack = get_task("StackCube")
+    simulator.reset(0)
+    expert = stack.expert(np.random.default_rng(0))
+    outcomes = []
+    for _ in range(70):
+        outcomes.append(simulator.step(expert.act(simulator.poses(), simulator.goal())))
+        key = bool(simulator.env.unwrapped.evaluate()["is_cubeA_grasped"])
+        assert outcomes[-1].grasped == key
+    assert outcomes[-1].grasped and not outcomes[0].grasped
+
+
+def test_what_a_task_lacks_is_named():
+    links = {"hand": "panda_hand"}
+    with pytest.raises(UnknownNameError, match="unknown body of PickCube-v1 'cub'.*Did you mean 'cube'"):
+        ManiSkillSimulator("PickCube-v1", {**links, "cube": "cub"}).close()
+
+
+def test_a_control_of_another_period_or_size_is_refused():
+    control = TASK.control
+    with pytest.raises(PwmGymError, match=r"control period of 0\.0500 s; expected 0\.1000 s"):
+        ManiSkillSimulator("PickCube-v1", {"cube": "cube"}, control=replace(control, period=0.1))
+    with pytest.raises(PwmGymError, match="actions of 8 components; expected 7"):
+        ManiSkillSimulator("PickCube-v1", {"cube": "cube"}, control_mode="pd_joint_delta_pos", control=control)
