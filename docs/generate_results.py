@@ -64,6 +64,7 @@ def page() -> str:
         _calibration(),
         _planning("planning_default", "Planning with the default model"),
         _planning("table_planning"),
+        _planning("table_planning-paper"),
         _planning("table_planners"),
         _planning("table_completed"),
         _completion(),
@@ -273,7 +274,8 @@ def _table(name: str, result: dict[str, Any]) -> str:
         splits = row["splits"]
         cells = [row["row"]]
         cells += [_spread(splits[s]["chamfer_l1"], 4) if s in splits else "-" for s in ("all", "expert", "randomised")]
-        cells += [_spread(splits["all"]["reward_correlation"], 3), row["paper, other data"] or "-"]
+        correlation = splits["all"].get("reward_correlation")
+        cells += [_spread(correlation, 3) if correlation else "-", row["paper, other data"] or "-"]
         cells += [f"{row['episodes']:,}", f"{row['cpu_minutes']:.0f}"]
         cells += [f"{row['sample_steps']:,}", f"{row['parameters'] / 1e6:.2f} M"]
         if planned:
