@@ -74,11 +74,14 @@ class AssetFolder:
         """Write an object's files; the list is written by :meth:`write_info`."""
         folder = self.model(name)
         write_atomically(folder / "textured.obj", surface.export(file_type="obj", include_normals=False).encode())
-        write_atomically(folder / "collision.ply", trimesh.util.concatenate(pieces).export(file_type="ply"))
+        # as text: SAPIEN's reader skips leading bytes of a binary file that look like white space, and crashes
+        together = trimesh.util.concatenate(pieces).export(file_type="ply", encoding="ascii")
+        write_atomically(folder / "collision.ply", together)
 
     def write_info(self, names: list[str]) -> None:
-        """Write the list of objects, of the files that are there."""
-        info = {name: self._entry(name) for name in sorted(names)}
+        """Write the list of objects, of the files that are there; what it says of an object stays."""
+        known = self.info() if self.exists() else {}
+        info = {name: known.get(name) or self._entry(name) for name in sorted(names)}
         write_atomically(self.info_path, json.dumps(info, indent=2).encode())
 
     def pieces(self, name: str) -> list[trimesh.Trimesh]:

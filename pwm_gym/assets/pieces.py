@@ -15,6 +15,7 @@ __all__ = ["PieceConfig", "convex_pieces", "surface_deviation"]
 _SAMPLES = 4000  # points whose distance to a surface is measured
 _SURFACE = 60_000  # points that stand for that surface: 1.3 mm apart on a can of 0.1 m
 _HULL_VERTICES = 64  # PhysX takes no more on a GPU
+_SHORTEST = 0.0005  # metres between the vertices of a hull, about
 
 
 @dataclass(frozen=True)
@@ -69,13 +70,21 @@ def _distances(mesh: trimesh.Trimesh, other: trimesh.Trimesh) -> np.ndarray:
 
 
 def _simple_hull(piece: trimesh.Trimesh) -> trimesh.Trimesh:
-    """Convex hull of at most :data:`_HULL_VERTICES` vertices: the ones furthest out in evenly spread directions."""
-    hull = piece.convex_hull
-    if len(hull.vertices) <= _HULL_VERTICES:
-        return hull
-    directions = _sphere(_HULL_VERTICES)
-    extreme = np.unique((hull.vertices @ directions.T).argmax(0))
-    return trimesh.Trimesh(hull.vertices[extreme]).convex_hull
+    """Convex hull without edges below half a millimetre, and of at most :data:`_HULL_VERTICES` vertices."""
+    vertices = _apart(piece.convex_hull.vertices)
+    if len(vertices) > _HULL_VERTICES:
+        furthest = (vertices @ _sphere(_HULL_VERTICES).T).argmax(0)  # in evenly spread directions
+        vertices = vertices[np.unique(furthest)]
+    try:
+        return trimesh.Trimesh(vertices).convex_hull
+    except Exception:  # a sliver that was thinner than the grid
+        return piece.convex_hull
+
+
+def _apart(vertices: np.ndarray) -> np.ndarray:
+    """One of the vertices (V, 3) in each cell of a grid."""
+    cells = np.round(vertices / _SHORTEST).astype(int)
+    return vertices[np.sort(np.unique(cells, axis=0, return_index=True)[1])]
 
 
 def _sphere(count: int) -> np.ndarray:

@@ -8,7 +8,9 @@ whenever ManiSkill was imported, and leaves its other assets where they are.
 from __future__ import annotations
 
 import os
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 from pwm_gym.assets.folder import AssetFolder
 from pwm_gym.errors import PwmGymError
@@ -50,16 +52,16 @@ def use_assets(folder: AssetFolder) -> None:
     from pwm_gym.sim.headless import allow_headless
 
     allow_headless()
-    import mani_skill.envs.tasks.tabletop.pick_single_ycb as task
-    import mani_skill.utils.building.actors.ycb as builder
-    from mani_skill.utils.assets.data import DATA_SOURCES
-
+    # by name: as an attribute, mani_skill.utils is another module
+    task: Any = import_module("mani_skill.envs.tasks.tabletop.pick_single_ycb")
+    builder: Any = import_module("mani_skill.utils.building.actors.ycb")
+    sources = import_module("mani_skill.utils.assets.data").DATA_SOURCES
+    allow_headless()  # once more, for the modules that these imports have loaded
     data = folder.root.resolve() / "data"
     task.ASSET_DIR = data
     builder.ASSET_DIR = data
     builder.YCB_DATASET.clear()  # the list of another folder
-    DATA_SOURCES["ycb"].output_dir = data
-    allow_headless()  # once more, for the modules that the import has loaded
+    sources["ycb"].output_dir = data
 
 
 def _ways(root: Path) -> str:
