@@ -14,6 +14,7 @@ import numpy as np
 import trimesh
 from scipy.spatial.transform import Rotation
 
+from pwm_gym.assets.folder import DENSITY
 from pwm_gym.assets.gripper import PANDA, Gripper
 from pwm_gym.errors import PwmGymError
 
@@ -23,7 +24,10 @@ _YAWS = 24
 _STRIDE = 0.004  # of the strip along the object
 _DROP = 0.005  # of the strip down the object
 _SAMPLES = 12_000  # points on the surface
-_CLOUD = 3_000  # of them, kept to tell what is between the fingers
+_CLOUD = 3_000  # points kept to tell what is between the fingers
+_LIKELY = 0.1  # least chance of a way to come to rest
+_ALIKE = np.cos(np.radians(20))  # between two ways to rest that count as one
+_RESTS = 3  # ways to rest
 _TABLE = 0.003  # between the finger tips and the table
 _SIDE = 0.0015  # between the fingers and what they pass by
 _OVER = 0.003  # between the hand and what is below it
@@ -61,6 +65,8 @@ class ObjectGrasps:
     """From the best to the worst."""
     cloud: np.ndarray
     """Surface points (N, 3) in the canonical frame, metres."""
+    mass: float
+    """Kilograms, at the density that ManiSkill takes."""
 
 
 @dataclass(frozen=True)
@@ -84,18 +90,16 @@ class _Strip:
 
 def find_grasps(
     pieces: list[trimesh.Trimesh],
-    up: np.ndarray | None = None,
     gripper: Gripper = PANDA,
     count: int = 24,
     seed: int = 0,
 ) -> ObjectGrasps:
-    """Ranked grasps from above of an object at rest.
+    """Ranked grasps from above of an object as the simulator places it (its z axis up), and as it may fall over.
 
     Args:
         pieces: convex meshes of the object, in its canonical frame, metres.
-        up: direction (3,) in that frame that points up where the object rests; None for its z axis.
         gripper: fingers and hand.
-        count: most grasps that are given.
+        count: most grasps of each way to rest.
         seed: of the points on the surface.
 
     Raises:
@@ -103,7 +107,36 @@ def find_grasps(
     """
     if not pieces:
         raise PwmGymError("cannot grasp an object of 0 pieces; expected at least one")
-    turn = _upright(np.array([0.0, 0.0, 1.0]) if up is None else np.asarray(up, float))
+    found = [grasp for up in _resting(pieces) for grasp in _from_above(pieces, up, gripper, count, seed)]
+    whole = trimesh.util.concatenate(pieces)
+    cloud = trimesh.sample.sample_surface(whole, _CLOUD, seed=seed)[0]
+    mass = DENSITY * sum(abs(piece.volume) for piece in pieces)
+    return ObjectGrasps(tuple(found), cloud.astype(np.float32), float(mass))
+
+
+def _resting(pieces: list[trimesh.Trimesh]) -> list[np.ndarray]:
+    """Directions (3,) of the canonical frame that may point up: its z axis, and others in which the object is stable."""
+    hull = trimesh.util.concatenate(pieces).convex_hull
+    poses, chances = trimesh.poses.compute_stable_poses(hull, center_mass=_centre(pieces), sigma=0.0, n_samples=1)
+    directions = [np.array([0.0, 0.0, 1.0])]
+    for pose, chance in zip(poses, chances, strict=True):
+        up = pose[2, :3]
+        if chance >= _LIKELY and all(up @ known < _ALIKE for known in directions):
+            directions.append(up)
+    return directions[:_RESTS]
+
+
+def _centre(pieces: list[trimesh.Trimesh]) -> np.ndarray:
+    """Centre of mass (3,)."""
+    volumes = np.array([abs(piece.volume) for piece in pieces])
+    return np.average([piece.center_mass for piece in pieces], axis=0, weights=volumes)
+
+
+def _from_above(
+    pieces: list[trimesh.Trimesh], up: np.ndarray, gripper: Gripper, count: int, seed: int
+) -> tuple[Grasp, ...]:
+    """Ranked grasps of an object whose direction ``up`` points up."""
+    turn = _upright(up)
     rested, bottom = _rest(pieces, turn, seed)
     found: list[tuple[float, Grasp]] = []
     for angle in np.arange(_YAWS) * np.pi / _YAWS:
@@ -112,8 +145,7 @@ def find_grasps(
         for strip, middle in _strips(_turned(rested, yaw), gripper):
             for grasp in _of_strip(strip, middle, yaw.apply(rested.centre), rested.density, gripper):
                 found.append((angle, _canonical(grasp, to_canonical, bottom)))
-    cloud = turn.inv().apply(rested.points[:: max(1, len(rested.points) // _CLOUD)] + [0.0, 0.0, bottom])
-    return ObjectGrasps(_best(found, count), cloud.astype(np.float32))
+    return _best(found, count)
 
 
 def _upright(up: np.ndarray) -> Rotation:
@@ -125,13 +157,11 @@ def _rest(pieces: list[trimesh.Trimesh], turn: Rotation, seed: int) -> tuple[_Ob
     """The object turned and put on the table, and how far below the origin its lowest point was."""
     whole = trimesh.util.concatenate(pieces)
     points, faces = trimesh.sample.sample_surface(whole, _SAMPLES, seed=seed)
-    volumes = np.array([abs(piece.volume) for piece in pieces])
-    centre = np.average([piece.center_mass for piece in pieces], axis=0, weights=volumes)
     points = turn.apply(points)
     bottom = float(turn.apply(whole.vertices)[:, 2].min())
     lift = np.array([0.0, 0.0, -bottom])
     normals = turn.apply(whole.face_normals[faces])
-    return _Object(points + lift, normals, turn.apply(centre) + lift, _SAMPLES / whole.area), bottom
+    return _Object(points + lift, normals, turn.apply(_centre(pieces)) + lift, _SAMPLES / whole.area), bottom
 
 
 def _turned(rested: _Object, yaw: Rotation) -> _Object:

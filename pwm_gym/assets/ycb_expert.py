@@ -20,6 +20,7 @@ _SLOW = 0.3  # of the gain there
 _TOUCHING = 0.002  # metres between a pad and what it touches
 _STEEP = np.cos(np.radians(30))  # of the approach against the vertical
 _YAW_COST = 0.15  # score that a radian of turning the hand costs
+_SAG = 0.004  # metres by which a kilogram in the hand keeps the arm below where it is told to go
 _HIGH = 0.05  # metres that an object is lifted before it is carried sideways
 
 
@@ -46,7 +47,7 @@ class PickYcbExpert:
         points = _rotation(body).apply(self.known.cloud) + body[:3]
         if self._holds(tool, poses, points):
             return self._carry(tool, body, points, goal)
-        grasp = self._choose(tool, body)
+        grasp = self._choose(body)
         if grasp is None:
             return self._move(tool, np.zeros(3), None, 1.0)
         return self._reach(tool, body, points, grasp, panda.opening(poses))
@@ -62,19 +63,18 @@ class PickYcbExpert:
         y = local[between, 1]
         return bool(left - y.max() < _TOUCHING and y.min() - right < _TOUCHING)
 
-    def _choose(self, tool: np.ndarray, body: np.ndarray) -> Grasp | None:
+    def _choose(self, body: np.ndarray) -> Grasp | None:
         """The best grasp from above for the present pose; turning the hand far from its rest costs."""
+        if not self.known.grasps:
+            return None
         turn = _rotation(body)
-        best, most = None, -np.inf
-        for grasp in self.known.grasps:
-            if turn.apply(grasp.approach)[2] > -_STEEP:
-                continue
-            closing = turn.apply(grasp.closing)
-            yaw = abs((np.arctan2(closing[1], closing[0]) % np.pi) - np.pi / 2)
-            score = grasp.score - _YAW_COST * yaw
-            if score > most:
-                best, most = grasp, score
-        return best
+        steep = turn.apply([grasp.approach for grasp in self.known.grasps])[:, 2] <= -_STEEP
+        closing = turn.apply([grasp.closing for grasp in self.known.grasps])
+        yaw = np.abs(np.arctan2(closing[:, 1], closing[:, 0]) % np.pi - np.pi / 2)
+        score = np.array([grasp.score for grasp in self.known.grasps]) - _YAW_COST * yaw
+        if not steep.any():
+            return None
+        return self.known.grasps[int(np.where(steep, score, -np.inf).argmax())]
 
     def _reach(
         self, tool: np.ndarray, body: np.ndarray, points: np.ndarray, grasp: Grasp, opening: float
@@ -89,11 +89,11 @@ class PickYcbExpert:
             missed = opening < grasp.width - 0.012
             return self._move(tool, [0.0, 0.0, 0.03] if missed else np.zeros(3), closing, 1.0 if missed else -1.0)
         wide = _gripper(grasp.opening)
-        if beside < 0.006 and askew < 0.08:
-            return self._move(tool, reach, closing, wide)
         top = float(points[:, 2].max()) + PANDA.finger_tip + _CLEAR
         above = np.array([*reach[:2], top - tool[2]])
-        if above[2] > 0.01:  # rise before moving sideways
+        if beside < 0.006 and askew < 0.08 and (above[2] < 0.01 or not begun):
+            return self._move(tool, reach, closing, wide)
+        if above[2] > 0.01:  # rise before moving sideways, or before opening what is jammed
             above[:2] = 0.0
         elif beside < 0.03 and above[2] < -0.01:  # wait above until aligned
             above[2] *= 0.3
@@ -103,7 +103,8 @@ class PickYcbExpert:
         offset = goal - body[:3]
         low = float(points[:, 2].min())
         if np.linalg.norm(offset[:2]) > 0.03 and low < _HIGH:
-            offset = np.array([0.0, 0.0, max(_HIGH + 0.01 - low, offset[2])])
+            offset = np.array([0.0, 0.0, max(_HIGH + _NEAR_GOAL - low, offset[2])])
+        offset[2] += _SAG * self.known.mass
         return self._move(tool, offset, None, -1.0)
 
     def _move(self, tool: np.ndarray, offset: np.ndarray, closing: np.ndarray | None, gripper: float) -> np.ndarray:
