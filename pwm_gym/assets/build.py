@@ -20,17 +20,17 @@ from pwm_gym.files import write_atomically
 
 __all__ = ["build_ycb"]
 
-_LARGEST = 1.0  # metres; a longer object was given in millimetres or inches
+_LARGEST = 1.0  # metres; the longest object of YCB has 0.4, and a larger one was given in millimetres
 _ATTRIBUTION = """\
 The objects in this folder whose names begin with a number are objects of the YCB Object and Model Set:
-B. Calli, A. Walsman, A. Singh, S. Srinivasa, P. Abbeel and A. M. Dollar, "Benchmarking in Manipulation Research: The YCB
-Object and Model Set and Benchmarking Protocols", IEEE Robotics and Automation Magazine 22(3), 2015.
+B. Calli, A. Walsman, A. Singh, S. Srinivasa, P. Abbeel and A. M. Dollar, "Benchmarking in Manipulation Research: The
+YCB Object and Model Set and Benchmarking Protocols", IEEE Robotics and Automation Magazine 22(3), 2015.
 https://www.ycbbenchmarks.com
 
 Licence: Creative Commons Attribution 4.0 International (CC BY 4.0), https://creativecommons.org/licenses/by/4.0/
 
-Changed against the meshes that were given to `pwm-gym assets ycb`: each was moved so that its bounding box is centred at
-the origin (textured.obj); colours and textures were dropped; convex pieces that approximate it were added
+Changed against the meshes that were given to `pwm-gym assets ycb`: each was moved so that its bounding box is centred
+at the origin (textured.obj); colours and textures were dropped; convex pieces that approximate it were added
 (collision.ply). The meshes that were given may have been decimated before.
 """
 

@@ -1,7 +1,7 @@
 """Twelve generated shapes that the Panda's gripper can lift, for a task that runs without a download.
 
-Each is made of convex parts, so nothing needs to be cut. Lengths are in metres; every shape stands on the table as it is
-written here, with its parts' lowest point at z = 0 before it is centred.
+Each is made of convex parts, so nothing needs to be cut. Lengths are in metres; each shape stands on the table as it is
+written here, z up.
 """
 
 from __future__ import annotations
@@ -65,13 +65,11 @@ def _box(size: tuple[float, float, float], at: tuple[float, float, float]) -> tr
     return box
 
 
-def _turned(profile: list[tuple[float, float]], at: tuple[float, float] = (0.0, 0.0), sides: int = _SIDES) -> trimesh.Trimesh:
+def _turned(profile: list[tuple[float, float]], sides: int = _SIDES) -> trimesh.Trimesh:
     """Convex hull of rings about z, one for each radius and height of the profile."""
     angle = 2 * np.pi * np.arange(sides) / sides
     rings = [np.stack([r * np.cos(angle), r * np.sin(angle), np.full(sides, z)], -1) for r, z in profile]
-    hull = trimesh.Trimesh(np.concatenate(rings)).convex_hull
-    hull.apply_translation([*at, 0.0])
-    return hull
+    return trimesh.Trimesh(np.concatenate(rings)).convex_hull
 
 
 def _laid(part: trimesh.Trimesh) -> trimesh.Trimesh:
@@ -80,9 +78,8 @@ def _laid(part: trimesh.Trimesh) -> trimesh.Trimesh:
     return trimesh.Trimesh(turned, part.faces, process=False)
 
 
-def _ball(radius: float) -> _Parts:
-    ball = trimesh.creation.icosphere(2, radius)
-    return [ball.convex_hull]
+def _ball(radius: float) -> trimesh.Trimesh:
+    return trimesh.creation.icosphere(2, radius).convex_hull
 
 
 def _bottle() -> _Parts:
@@ -112,7 +109,7 @@ _SHAPES: dict[str, Callable[[], _Parts]] = {
     "brick": lambda: [_box((0.1, 0.065, 0.04), (0.0, 0.0, 0.02))],
     "cylinder": lambda: [_turned([(0.03, 0.0), (0.03, 0.09)])],
     "disc": lambda: [_turned([(0.034, 0.0), (0.034, 0.028)])],
-    "ball": lambda: _ball(0.032),
+    "ball": lambda: [_ball(0.032)],
     "hexagon": lambda: [_turned([(0.032, 0.0), (0.032, 0.05)], sides=6)],
     "cone": lambda: [_turned([(0.034, 0.0), (0.016, 0.08)])],
     "bottle": _bottle,

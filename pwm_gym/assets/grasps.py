@@ -115,7 +115,7 @@ def find_grasps(
 
 
 def _resting(pieces: list[trimesh.Trimesh]) -> list[np.ndarray]:
-    """Directions (3,) of the canonical frame that may point up: its z axis, and others in which the object is stable."""
+    """Directions (3,) of the canonical frame that may point up: its z axis, and others in which the object rests."""
     hull = trimesh.util.concatenate(pieces).convex_hull
     poses, chances = trimesh.poses.compute_stable_poses(hull, center_mass=_centre(pieces), sigma=0.0, n_samples=1)
     directions = [np.array([0.0, 0.0, 1.0])]
@@ -184,12 +184,12 @@ def _of_strip(
     strip: _Strip, middle: float, centre: np.ndarray, density: float, gripper: Gripper
 ) -> Iterator[tuple[np.ndarray, float, float, float]]:
     """Position (3,) of the tool, opening, width and score of each grasp in a strip."""
-    top = strip.points[:, 2].max()
-    lowest = gripper.finger_tip + _TABLE
-    for height in np.arange(lowest, max(top, lowest + 1e-6), _DROP):
+    for height in _heights(strip, gripper):
         deep = strip.points[:, 2] > height - gripper.finger_tip - _SIDE
         groups = _groups(strip.points[deep, 1], 2 * _LEAST_EASE + gripper.finger_depth)
         for left, low, high, right in groups:
+            if high - low > gripper.opening - 2 * _LEAST_EASE:
+                continue
             held = _held(strip, low, high, height, gripper)
             if held is None:
                 continue
@@ -200,6 +200,15 @@ def _of_strip(
             place = np.array([middle, (y[0] + y[1]) / 2, height])
             lever = float(np.hypot(*(place - centre)[:2]))
             yield place, 2 * half, y[1] - y[0], _rank(score, lever, strip, y, height, density, gripper)
+
+
+def _heights(strip: _Strip, gripper: Gripper) -> np.ndarray:
+    """Heights of the tool in a strip, without those at which the hand would hit a narrow object's top."""
+    lowest = gripper.finger_tip + _TABLE
+    heights = np.arange(lowest, max(float(strip.points[:, 2].max()), lowest + 1e-6), _DROP)
+    if np.ptp(strip.under_hand[:, 0]) > gripper.hand_half_length:
+        return heights
+    return heights[heights >= strip.under_hand[:, 1].max() - gripper.hand_height + _OVER]
 
 
 def _groups(y: np.ndarray, gap: float) -> list[tuple[float, float, float, float]]:
@@ -227,10 +236,10 @@ def _held(
     first, last = float(y.min()), float(y.max())
     if last - first > gripper.opening - 2 * _LEAST_EASE:
         return None
-    squareness = min(np.maximum(-normals[y < first + _TOUCH], 0).mean(), np.maximum(normals[y > last - _TOUCH], 0).mean())
-    if squareness < _ALIGNED:
-        return None
-    return (first, last), float(squareness)
+    at_first = np.maximum(-normals[y < first + _TOUCH], 0).mean()
+    at_last = np.maximum(normals[y > last - _TOUCH], 0).mean()
+    squareness = float(min(at_first, at_last))
+    return ((first, last), squareness) if squareness >= _ALIGNED else None
 
 
 def _at_pads(strip: _Strip, height: float, gripper: Gripper) -> np.ndarray:
@@ -289,7 +298,7 @@ def _floats(vector: np.ndarray) -> tuple[float, float, float]:
 def _best(found: list[tuple[float, Grasp]], count: int) -> tuple[Grasp, ...]:
     """The best grasps, at most three of one yaw, so that some suits any pose."""
     taken: dict[float, int] = {}
-    kept = []
+    kept: list[Grasp] = []
     for angle, grasp in sorted(found, key=lambda pair: -pair[1].score):
         if taken.get(angle, 0) < 3 and len(kept) < count:
             taken[angle] = taken.get(angle, 0) + 1

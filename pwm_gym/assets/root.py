@@ -1,8 +1,8 @@
 """Which folder of objects ManiSkill's PickSingleYCB reads.
 
 ManiSkill fixes its asset folder when it is first imported, in a constant that its modules copy, and asks on the
-terminal whether to download what is missing. :func:`use_assets` sets the constants of the modules that read YCB objects,
-whenever ManiSkill was imported, and leaves its other assets where they are.
+terminal whether to download what is missing. :func:`use_assets` sets the constants of the modules that read YCB
+objects, whenever ManiSkill was imported, and leaves its other assets where they are.
 """
 
 from __future__ import annotations

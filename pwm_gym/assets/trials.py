@@ -39,6 +39,7 @@ class YcbTrials:
             "PickSingleYCB-v1",
             num_envs=1,
             obs_mode="none",
+            reward_mode="none",
             robot_uids="panda",
             control_mode="pd_ee_delta_pose",
             sim_backend="physx_cpu",

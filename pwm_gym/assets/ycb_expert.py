@@ -21,6 +21,7 @@ _TOUCHING = 0.002  # metres between a pad and what it touches
 _STEEP = np.cos(np.radians(30))  # of the approach against the vertical
 _YAW_COST = 0.15  # score that a radian of turning the hand costs
 _SAG = 0.004  # metres by which a kilogram in the hand keeps the arm below where it is told to go
+_UP = np.array([0.0, 0.0, 0.03])  # metres, away from an object that the fingers have missed
 _HIGH = 0.05  # metres that an object is lifted before it is carried sideways
 
 
@@ -87,7 +88,7 @@ class PickYcbExpert:
         begun = opening < grasp.opening - 0.004
         if beside < (0.02 if begun else 0.004) and abs(reach[2]) < (0.02 if begun else 0.005) and askew < 0.15:
             missed = opening < grasp.width - 0.012
-            return self._move(tool, [0.0, 0.0, 0.03] if missed else np.zeros(3), closing, 1.0 if missed else -1.0)
+            return self._move(tool, _UP if missed else np.zeros(3), closing, 1.0 if missed else -1.0)
         wide = _gripper(grasp.opening)
         top = float(points[:, 2].max()) + PANDA.finger_tip + _CLEAR
         above = np.array([*reach[:2], top - tool[2]])
@@ -108,7 +109,6 @@ class PickYcbExpert:
         return self._move(tool, offset, None, -1.0)
 
     def _move(self, tool: np.ndarray, offset: np.ndarray, closing: np.ndarray | None, gripper: float) -> np.ndarray:
-        offset = np.asarray(offset, float)
         distance = float(np.linalg.norm(offset))
         gain = _GAIN * (_SLOW if gripper < 0 and distance < _NEAR_GOAL else 1.0)
         step = offset * min(gain, self.speed / max(distance, 1e-9))
