@@ -6,6 +6,7 @@ from typing import Annotated, Any
 
 import tyro
 
+from pwm_gym.commands.assets import Assets
 from pwm_gym.commands.bench import Bench
 from pwm_gym.commands.check_cost import CheckCost
 from pwm_gym.commands.collect import Collect
@@ -31,6 +32,7 @@ Command = (
     | Annotated[View, tyro.conf.subcommand("view")]
     | Annotated[Bench, tyro.conf.subcommand("bench")]
     | Annotated[CheckCost, tyro.conf.subcommand("check-cost")]
+    | Annotated[Assets, tyro.conf.subcommand("assets")]
 )
 
 

@@ -13,7 +13,7 @@ from pwm_gym.planning import Run
 from pwm_gym.tasks import TASKS
 from pwm_gym.training import FitConfig
 
-COMMANDS = ("demo", "envs", "collect", "train", "complete", "evaluate", "plan", "view", "bench", "check-cost")
+COMMANDS = ("demo", "envs", "collect", "train", "complete", "evaluate", "plan", "view", "bench", "check-cost", "assets")
 
 
 def failure(*args) -> str:
@@ -39,7 +39,7 @@ def test_every_command_explains_itself(command, capsys):
     assert end.value.code == 0
     help_text = capsys.readouterr().out
     assert f"usage: pwm-gym {command}" in help_text
-    assert command in ("envs", "view", "complete") or "--task" in help_text or "COST" in help_text.upper()
+    assert command in ("envs", "view", "complete", "assets") or "--task" in help_text or "COST" in help_text.upper()
 
 
 def test_help_lists_every_command(capsys):
