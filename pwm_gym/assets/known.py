@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-from dataclasses import astuple
+from dataclasses import astuple, dataclass
 from functools import lru_cache
 from pathlib import Path
 
@@ -34,6 +34,14 @@ def object_grasps(folder: AssetFolder, name: str) -> ObjectGrasps:
     return _find(folder, name, hashlib.sha256(collision.read_bytes()).hexdigest())
 
 
+@dataclass(frozen=True)
+class _Header:
+    """What a file of grasps says beside its arrays."""
+
+    format: str
+    pieces: str
+
+
 @lru_cache(maxsize=256)
 def _find(folder: AssetFolder, name: str, digest: str) -> ObjectGrasps:
     path = folder.model(name) / "grasps.npz"
@@ -48,8 +56,8 @@ def _find(folder: AssetFolder, name: str, digest: str) -> ObjectGrasps:
 
 
 def _read(path: Path, digest: str) -> ObjectGrasps:
-    arrays, header = load_arrays(path, "holds no grasps", PwmGymError, _FORMAT)
-    if header.get("pieces") != digest:
+    arrays, header = load_arrays(path, "holds no grasps", PwmGymError, _FORMAT, _Header)
+    if header.pieces != digest:
         raise PwmGymError(f"{path} holds grasps of other pieces")
     return ObjectGrasps(tuple(map(_grasp, arrays["grasps"].tolist())), arrays["cloud"], float(arrays["mass"]))
 

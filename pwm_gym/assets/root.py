@@ -49,7 +49,7 @@ def require_ycb(root: str | Path | None = None, objects: tuple[str, ...] = ()) -
 
 def use_assets(folder: AssetFolder) -> None:
     """Let ManiSkill's YCB tasks of this process read ``folder``, from their next scene on."""
-    from pwm_gym.sim.headless import allow_headless
+    from pwm_gym.sim.maniskill.headless import allow_headless
 
     allow_headless()
     # by name: as an attribute, mani_skill.utils is another module

@@ -9,8 +9,8 @@ import numpy as np
 from pwm_gym.assets.folder import AssetFolder
 from pwm_gym.assets.root import use_assets
 from pwm_gym.errors import unknown_name
-from pwm_gym.sim.headless import allow_headless
-from pwm_gym.tasks import panda
+from pwm_gym.robots import panda
+from pwm_gym.sim.maniskill.headless import allow_headless
 
 __all__ = ["YcbTrials"]
 
@@ -59,7 +59,7 @@ class YcbTrials:
         base.all_model_ids = np.array([name])
         self.env.reset(seed=seed, options={"reconfigure": True})
         links = {link.name: link._objs[0].entity for link in base.agent.robot.get_links()}
-        self._entities = [links[body] for body in panda.BODIES.values()] + [base.obj._objs[0]]
+        self._entities = [links[body] for body in panda.PANDA.links.values()] + [base.obj._objs[0]]
         self._origin = np.asarray(base.agent.robot.get_links()[0]._objs[0].entity.pose.p, float)
         self.goal = np.asarray(base.goal_site._objs[0].pose.p, float) - self._origin
 

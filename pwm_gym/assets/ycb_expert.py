@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from pwm_gym.assets.grasps import Grasp, ObjectGrasps
 from pwm_gym.assets.gripper import PANDA
-from pwm_gym.tasks import panda
+from pwm_gym.robots import panda
 
 __all__ = ["PickYcbExpert"]
 

@@ -56,6 +56,7 @@ class RobotMotion(nn.Module):
         self.response = LinearResponse(links, control.size)
         self.hands, self.count = list(links.hands), len(links)
         arms = {arm.hand: arm for arm in control.arms if kinematic and arm.chain is not None}
+        counts = {arm.hand: arm.chain.joints for arm in arms.values() if arm.chain is not None}
         names = [links.names[k] for k in self.hands]
         for arm in control.arms:
             if arm.hand not in names:
@@ -66,7 +67,7 @@ class RobotMotion(nn.Module):
             ArmResponse(arms[n], control, arm_width) if n in arms else nn.Identity() for n in names
         )
         self.known = [n in arms for n in names]
-        sizes = [arms[n].chain.joints if n in arms else 0 for n in names]
+        sizes = [counts.get(n, 0) for n in names]
         self.slices = [slice(sum(sizes[:k]), sum(sizes[: k + 1])) for k in range(len(names))]
         self.robot_slices = [arms[n].joints for n in names if n in arms]
         self.joints = sum(sizes)
@@ -76,8 +77,8 @@ class RobotMotion(nn.Module):
         self.heads = nn.ModuleList(nn.Linear(width, 2 * n if n else 6) for n in sizes)
         self.slide = nn.Linear(width, 1)
         for head in (*self.heads, self.slide):
-            nn.init.zeros_(head.weight)  # type: ignore[arg-type]
-            nn.init.zeros_(head.bias)  # type: ignore[arg-type]
+            nn.init.zeros_(head.weight)
+            nn.init.zeros_(head.bias)
         fixed = [i for i, e in enumerate(links) if e.joint.kind == "fixed" and e.joint.parent is not None]
         self._fixed = [(i, links.index(str(links.entities[i].joint.parent))) for i in fixed]
         commands = [c.slice for c in control.of_kind("translation", "rotation")]
