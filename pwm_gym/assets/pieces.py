@@ -15,6 +15,7 @@ __all__ = ["PieceConfig", "convex_pieces", "surface_deviation"]
 _SAMPLES = 4000  # points whose distance to a surface is measured
 _SURFACE = 60_000  # points that stand for that surface: 1.3 mm apart on a can of 0.1 m
 _HULL_VERTICES = 64  # PhysX takes no more on a GPU
+_THINNEST = 0.0005  # metres: a thinner mesh has no hull that can be collided with
 _SHORTEST = 0.0005  # metres between the vertices of a hull, about
 
 
@@ -43,10 +44,9 @@ def convex_pieces(mesh: trimesh.Trimesh, config: PieceConfig | None = None) -> l
         PwmGymError: ``mesh`` is flat, or CoACD is needed and not installed.
     """
     config = config or PieceConfig()
-    try:
-        hull = mesh.convex_hull
-    except Exception as error:  # scipy's QhullError, or trimesh's own
-        raise PwmGymError(f"{mesh!r} has no convex hull: expected a mesh that is not flat") from error
+    if mesh.extents.min() < _THINNEST:
+        raise PwmGymError(f"the mesh is {mesh.extents.min():.2g} m thin; expected a mesh that is not flat")
+    hull = mesh.convex_hull
     if _depth(hull, mesh) <= config.convex_within:
         return [_simple_hull(hull)]
     return [_simple_hull(piece) for piece in _decompose(mesh, config)]
