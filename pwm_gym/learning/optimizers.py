@@ -2,14 +2,61 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 import torch
-from torch import nn
+from torch import Tensor, nn
 
-__all__ = ["Optimizer", "build_optimizer"]
+__all__ = ["Muon", "Optimizer", "build_optimizer", "orthogonalised"]
 
 _LARGE = 32  # rows and columns; most matrices with fewer are tables, inputs or outputs, which Muon is not for
+
+
+_MOMENTUM, _ROUNDS, _TINY = 0.95, 5, 1e-7
+_QUINTIC = (3.4445, -4.7750, 2.0315)  # of Newton and Schulz's iteration (Jordan et al., 2024)
+_RMS = 0.2  # of AdamW's updates (Liu et al., 2025)
+
+
+class Muon(torch.optim.Optimizer):
+    """Momentum whose updates are orthogonalised, in the parameters' own precision.
+
+    PyTorch's own rounds to bfloat16, which a CPU without such instructions emulates: an update of the default model's
+    25 matrices took 230 ms of a training step of 370 ms (one core of a 2-core server), and takes 25 ms here.
+
+    Args:
+        params: matrices.
+        lr: learning rate; updates are as large as AdamW's would be.
+        weight_decay: share of the weights, times the learning rate, that a step takes off.
+    """
+
+    def __init__(self, params: Iterable[torch.nn.Parameter], lr: float, weight_decay: float) -> None:
+        super().__init__(params, {"lr": lr, "weight_decay": weight_decay})
+
+    @torch.no_grad()
+    def step(self, closure: Any = None) -> None:
+        """One update of all matrices that have a gradient."""
+        for group in self.param_groups:
+            for matrix in group["params"]:
+                if matrix.grad is None:
+                    continue
+                momentum = self.state[matrix].setdefault("momentum", torch.zeros_like(matrix))
+                momentum.lerp_(matrix.grad, 1.0 - _MOMENTUM)
+                update = orthogonalised(matrix.grad.lerp(momentum, _MOMENTUM))  # Nesterov's look ahead
+                matrix.mul_(1.0 - group["lr"] * group["weight_decay"])
+                matrix.add_(update, alpha=-_RMS * group["lr"] * max(matrix.shape) ** 0.5)
+
+
+def orthogonalised(matrix: Tensor) -> Tensor:
+    """A matrix (n, m) with nearly the same singular vectors, and singular values of about 1."""
+    tall = matrix.shape[0] > matrix.shape[1]
+    x = matrix.T if tall else matrix
+    x = x / x.norm().clamp_min(_TINY)
+    a, b, c = _QUINTIC
+    for _ in range(_ROUNDS):
+        gram = x @ x.T
+        x = torch.addmm(x, torch.addmm(gram, gram, gram, beta=b, alpha=c), x, beta=a)
+    return x.T if tall else x
 
 
 class Optimizer:
@@ -62,5 +109,5 @@ def build_optimizer(model: nn.Module, learning_rate: float, weight_decay: float,
     if others:
         parts.append(torch.optim.AdamW(others, lr=learning_rate, weight_decay=weight_decay))
     if matrices:
-        parts.append(torch.optim.Muon(matrices, learning_rate, weight_decay, adjust_lr_fn="match_rms_adamw"))
+        parts.append(Muon(matrices, learning_rate, weight_decay))
     return Optimizer(*parts)
