@@ -5,6 +5,7 @@ import torch
 from torch import nn
 
 from pwm_gym.learning import build_optimizer
+from pwm_gym.learning.optimizers import Muon, orthogonalised
 
 
 def network():
@@ -65,3 +66,24 @@ def test_sets_the_learning_rate_of_all_parameters():
     train(model, optimizer, 2)
     for a, b in zip(model.parameters(), before.parameters(), strict=True):
         assert torch.equal(a, b)
+
+
+def test_muon_is_pytorchs_without_its_rounding():
+    torch.manual_seed(0)
+    start = torch.randn(48, 96)
+    ours, theirs = nn.Parameter(start.clone()), nn.Parameter(start.clone())
+    one = Muon([ours], 3e-3, 0.01)
+    other = torch.optim.Muon([theirs], 3e-3, 0.01, adjust_lr_fn="match_rms_adamw")
+    for _ in range(5):
+        ours.grad = torch.randn(48, 96)
+        theirs.grad = ours.grad.clone()
+        one.step()
+        other.step()
+    moved = (ours - start).detach().abs().max()
+    assert (ours - theirs).detach().abs().max() < 0.03 * moved
+
+
+@pytest.mark.parametrize("shape", [(40, 64), (64, 40)])
+def test_orthogonalised_matrices_have_singular_values_near_one(shape):
+    values = torch.linalg.svdvals(orthogonalised(torch.randn(shape, generator=torch.Generator().manual_seed(0))))
+    assert 0.5 < float(values.min()) and float(values.max()) < 1.5
