@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 from pwm_gym.costs import contacts, cost_info, get_cost, get_grasp, get_success
 from pwm_gym.costs.motion import angular_velocity, joint_speed, spin
 from pwm_gym.data import KINDS
-from pwm_gym.dynamics.response import EndEffector
+from pwm_gym.robots.joints import JointTree
 from pwm_gym.robots.panda import JOINT_SPEEDS
 from pwm_gym.scene import RigidState, batch_state
 from pwm_gym.scene.se3 import make_pose
@@ -81,15 +81,15 @@ def test_the_joint_speed_is_the_arms_fastest_joints(train_split):
 @pytest.fixture
 def grip(train_split):
     """``grip(opening, offset)``: the hand pointing down, its tool centre at ``offset`` from a cube in the air."""
-    effector = EndEffector(TASK.layout)
-    clouds = torch.as_tensor(train_split.clouds)[None]
+    fingers = JointTree(TASK.layout, [1, 2])
+    clouds = torch.as_tensor(train_split.clouds)
 
     def make(opening, offset):
         down = torch.as_tensor(Rotation.from_rotvec([np.pi, 0, 0]).as_matrix()).float()
         cube = torch.tensor([0.6, 0.0, 0.2])
         root = make_pose(down, cube + torch.tensor(offset) + torch.tensor([0, 0, 0.1034]))[None]
-        fingers = effector.links(root, torch.full((1, 2), opening))
-        poses = torch.cat([root[:, None], fingers, make_pose(torch.eye(3), cube)[None, None]], 1)
+        parts = torch.stack([root, root, root, make_pose(torch.eye(3), cube)[None]], 1)
+        poses = fingers.place(parts, torch.full((1, 2), opening))
         state = RigidState(TASK.layout, clouds, poses[:, None].expand(-1, 3, -1, -1, -1))
         shut = torch.tensor([[0.0, 0, 0, 0, 0, 0, -1]])
         return cost_info(state, shut, torch.zeros(1, 3), get_grasp("pick_cube"))

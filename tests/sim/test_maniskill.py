@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from pwm_gym.dynamics.response import EndEffector
 from pwm_gym.errors import PwmGymError, SceneError, UnknownNameError
+from pwm_gym.robots.joints import JointTree
 from pwm_gym.robots.panda import tool_pose
 from pwm_gym.scene import Scene
 from pwm_gym.scene.se3 import matrix_from_pose7
@@ -75,12 +75,11 @@ def test_positions_differ_from_the_simulators_world_by_the_bases_place(simulator
 def test_fingers_slide_on_the_hand_as_the_tasks_sliders_say(simulator, random_actions):
     poses, joints, _ = trace(simulator, 0, random_actions(0, 40, TASK.action_size))
     frames = matrix_from_pose7(torch.as_tensor(poses)).float()  # (T, E, 4, 4)
-    effector = EndEffector(TASK.layout)
-    openings = effector.openings(frames.unsqueeze(1).expand(-1, 3, -1, -1, -1))[:, 0]
-    np.testing.assert_allclose(openings, joints[:, 7:], atol=1e-4)
-    links = effector.links(frames[:, effector.root], torch.as_tensor(joints[:, 7:]))
-    torch.testing.assert_close(links[..., :3, 3], frames[:, effector.sliding, :3, 3], atol=1e-4, rtol=0)
-    torch.testing.assert_close(links[..., :3, :3], frames[:, effector.sliding, :3, :3], atol=1e-3, rtol=0)
+    fingers = JointTree(TASK.layout, [1, 2])
+    np.testing.assert_allclose(fingers.positions(frames), joints[:, 7:], atol=1e-4)
+    placed = fingers.place(frames, torch.as_tensor(joints[:, 7:]))
+    torch.testing.assert_close(placed[..., :3, 3], frames[..., :3, 3], atol=1e-4, rtol=0)
+    torch.testing.assert_close(placed[..., :3, :3], frames[..., :3, :3], atol=1e-3, rtol=0)
     assert joints[:, 7].std() > 1e-3
 
 
