@@ -191,7 +191,7 @@ def _collect_shard(job: _Job) -> int:
     episodes = []
     for seed in job.seeds:
         episodes.append(record_episode(simulator, seed, behaviour, limits[job.kind]))
-        _save_assets(job.config.out, task, simulator)
+        _save_assets(job.config.folder, task, simulator)
     write_shard(job.path, episodes, {"format": EPISODES, "schema": SCHEMA, "task": task.name})
     return len(episodes)
 
