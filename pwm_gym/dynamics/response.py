@@ -44,7 +44,7 @@ class LinearResponse(nn.Module):
     def __init__(self, links: Layout, action_size: int) -> None:
         super().__init__()
         self.hands = list(links.hands)
-        self.tree = JointTree(links, [i for i, e in enumerate(links) if e.joint.moves])
+        self.tree = JointTree(links, [i for i, e in enumerate(links) if e.joint.moves], links.attached)
         joints, hands = len(self.tree), len(self.hands)
         self.register_buffer("hand_weight", torch.zeros(hands, 12 + action_size, 6))
         self.register_buffer("joint_weight", torch.zeros(3 * joints + action_size + 1, joints))

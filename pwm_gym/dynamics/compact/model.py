@@ -184,6 +184,8 @@ class CompactModel(nn.Module):
             middle = shapes.mean(2)
             rotation = frames[:, 0, :3, :3]
             following = self.movers(plan, poses, moves[:, :, 0], middle, contacts, tokens, links_next, rotation)
+        elif plan.attached:
+            following = plan.tree.place(following, following.new_zeros(len(following), 0), poses[:, 0])
         if not plan.sorted:
             following, tokens = following[:, plan.back], tokens[:, plan.back]
         error = None
