@@ -63,7 +63,7 @@ class LinearResponse(nn.Module):
     def joint_features(self, positions: Tensor, action: Tensor) -> Tensor:
         """(B, 3 S + A + 1): joint positions and two speeds of (B, 3, S), the action and a constant."""
         speeds = positions[..., :2, :] - positions[..., 1:, :]
-        one = torch.ones_like(action[..., :1])
+        one = action.new_ones(*action.shape[:-1], 1)
         return torch.cat([positions[..., 0, :], speeds.flatten(-2), action, one], -1)
 
     def hand_twists(self, frames: Tensor, action: Tensor) -> Tensor:

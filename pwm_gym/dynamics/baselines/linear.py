@@ -25,9 +25,6 @@ _GRAVITY = 9.81
 _REACHES = 0.01  # metres by which what is below an object may reach above its lowest point and still support it
 
 
-_FLOOR = -1e3  # metres: of a scene without one
-
-
 @dataclass(frozen=True)
 class BaselineConfig:
     """The grasp rule."""
@@ -84,6 +81,8 @@ class LinearBaseline(Still):
 
     def _robot(self, links: Tensor, action: Tensor, held: list[list[Tensor]]) -> Tensor:
         """Next poses (B, L, 4, 4) of the links."""
+        if not len(self.links):
+            return links[:, 0]
         tree, now = self.response.tree, links[:, 0, self.response.hands]
         step = self._hand_steps(links, action)
         position = self.response.confine(now[..., :3, 3] + step[..., :3])
@@ -140,7 +139,7 @@ class LinearBaseline(Still):
     def _support(state: RigidState, k: int, points: Tensor) -> Tensor:
         """Height (B,) of the highest support or entity below an object's points (B, n, 3)."""
         low, high = points.amin(1), points.amax(1)
-        height = points.new_full((len(points),), _FLOOR)
+        height = points.new_full((len(points),), state.layout.floor)  # however deep it was pushed
         boxes = [_extent(s.origin[:3], s.half, points) for s in state.layout.supports]
         others = [e.name for i, e in enumerate(state.layout) if i != k and not e.driven]
         boxes += [(x.amin(1), x.amax(1)) for x in map(state.entity, others)]

@@ -215,7 +215,7 @@ class CompactModel(nn.Module):
             part = action[:, channel.slice]
             vector = channel.kind in ("translation", "rotation")
             parts.append((part.unsqueeze(1) @ rotation).squeeze(1) if vector else part)
-        return torch.cat(parts, 1)
+        return torch.cat(parts, 1) if parts else action
 
     def _attend(self, entities: Tensor, action: Tensor) -> Tensor:
         """Entity tokens (B, P, C) after attention over [entities, action, registers]."""

@@ -69,7 +69,7 @@ class Plan:
         movers = loose + articulated
         roots = [sorted_layout.root(i) for i in range(len(order))]
         bodies = [root if root in loose else i for i, root in enumerate(roots)]
-        partners = len(links) if len(order) == len(links) + 1 else len(order)
+        partners = len(links) if len(links) and len(order) == len(links) + 1 else len(order)
         walls = [s for s in layout.supports if not s.plane]
         poses = matrix_from_pose7(torch.tensor([s.origin for s in walls], dtype=torch.float32).reshape(-1, 7))
         kinds = [JOINT_KINDS.index(e.joint.kind) for e in sorted_layout.entities[len(links) :]]

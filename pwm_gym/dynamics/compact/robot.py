@@ -133,6 +133,8 @@ class RobotMotion(nn.Module):
 
     def _placed(self, links: Tensor, hands: Tensor, positions: Tensor) -> Tensor:
         """Links' poses (B, L, 4, 4) with hands at (B, H, 4, 4) and driven joints at (B, S)."""
+        if not self.count:
+            return links
         moved = list(links.unbind(1))
         for place, pose in zip(self.hands, hands.unbind(1), strict=True):
             moved[place] = pose
@@ -140,6 +142,8 @@ class RobotMotion(nn.Module):
 
     def tokens(self, forecast: RobotForecast, tokens: Tensor) -> Tensor:
         """Link tokens (B, L, C) with what is known of each arm added to its hand's."""
+        if not self.joints:
+            return tokens
         rows = list(tokens.unbind(1))
         for hand, arm, layer in zip(self.hands, forecast.arms, self.arm_tokens, strict=True):
             if arm is not None:
