@@ -150,10 +150,12 @@ class Layout:
 
     def resize(self, points: int) -> Layout:
         """The same entities with ``points`` points in all, divided in the same proportions."""
-        if not len(self.entities) <= points <= self.points:
-            raise PwmGymError(f"points={points}; expected {len(self.entities)} to {self.points}")
-        bounds = [round(e.stop * points / self.points) for e in self.entities]
-        return self.with_counts(map(int, np.diff([0, *bounds])))
+        count = len(self.entities)
+        if not count <= points <= self.points:
+            raise PwmGymError(f"points={points}; expected {count} to {self.points}")
+        share = (points - count) / max(1, self.points - count)  # of what is left when each has one point
+        bounds = np.floor(share * np.cumsum([e.points - 1 for e in self.entities]) + 0.5)
+        return self.with_counts(int(1 + extra) for extra in np.diff([0, *bounds]))
 
     def truncate(self, count: int) -> Layout:
         """The same entities with at most ``count`` points each."""
