@@ -1,16 +1,23 @@
 """Fixtures that all tests share. One thread: the suites of several processes then do not fight for cores."""
 
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import gymnasium as gym
 import numpy as np
 import pytest
 import torch
+from scipy.spatial.transform import Rotation
 
 import pwm_gym
 from pwm_gym.collection import CollectConfig, collect
 from pwm_gym.costs import COSTS
 from pwm_gym.data import load_split
+from pwm_gym.dynamics import build_model
+from pwm_gym.robots import Arm, ArmKinematics, Channel, Control
+from pwm_gym.robots.panda import PANDA
+from pwm_gym.scene import FIXED, FREE, Joint, Layout, Mimic, RigidState, Support
+from pwm_gym.scene.se3 import make_pose, matrix_from_pose7
 from pwm_gym.tasks import get_task
 
 
@@ -65,7 +72,7 @@ class _Stub:
     """A world model that moves the scene as a test says."""
 
     def __init__(self, model, move):
-        self.layout, self.action_size, self._model, self._move = model.layout, model.action_size, model, move
+        self.links, self.action_size, self._model, self._move = model.links, model.action_size, model, move
 
     def prepare(self, state):
         return self._model.prepare(state)
@@ -128,3 +135,251 @@ def cut():
         return replace(episode, **frames, **rest)
 
     return first
+
+
+@dataclass(frozen=True)
+class Body:
+    """A box-shaped entity of a synthetic scene."""
+
+    half: tuple[float, float, float]
+    at: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Where it rests, metres; of no account where its joint says it."""
+    joint: Joint = FREE
+    driven: bool = False
+
+
+@dataclass(frozen=True)
+class World:
+    """A small scene of boxes, with its robot's control."""
+
+    bodies: Mapping[str, Body]
+    control: Control = field(default_factory=Control)
+    points: int = 16
+
+    @property
+    def layout(self) -> Layout:
+        return Layout.build(
+            [(name, self.points) for name in self.bodies],
+            [name for name, b in self.bodies.items() if b.driven],
+            {name: b.joint for name, b in self.bodies.items()},
+            [Support.ground()],
+        )
+
+    def plus(self, **bodies: Body) -> "World":
+        """The same world with further bodies."""
+        return replace(self, bodies={**self.bodies, **bodies})
+
+    def only(self, *names: str) -> "World":
+        """The same world with these bodies alone, in this order."""
+        return replace(self, bodies={name: self.bodies[name] for name in names})
+
+    def clouds(self, batch: int = 1, seed: int = 0) -> torch.Tensor:
+        """Points (batch, N, 3) on the faces of the boxes, the same in each scene."""
+        rng = np.random.default_rng(seed)
+        every = []
+        for body in self.bodies.values():
+            points = rng.uniform(-1, 1, (self.points, 3))
+            side = np.arange(self.points) % 6
+            points[np.arange(self.points), side // 2] = np.where(side % 2, 1.0, -1.0)
+            every.append(points * body.half)
+        return torch.as_tensor(np.concatenate(every), dtype=torch.float32).expand(batch, -1, -1)
+
+    def state(self, batch: int = 2, moving: bool = True, seed: int = 0, spread: float = 0.05) -> RigidState:
+        """Scenes whose bodies are about where they belong, at rest or in motion; joints lie on their joints."""
+        rng = np.random.default_rng(seed)
+
+        def draw(*shape):
+            return rng.uniform(-1, 1, (batch, *shape))
+
+        steps = np.arange(3) * float(moving)
+        placed: dict[str, torch.Tensor] = {}
+        q: dict[str, np.ndarray] = {}
+        arms = {arm.hand: arm for arm in self.control.arms if arm.chain}
+        joints = np.zeros((batch, 2, 9), np.float32) if arms else None
+        for name, body in self.bodies.items():
+            if name in arms:
+                arm = arms[name]
+                speed = 0.01 * draw(arm.chain.joints) * moving
+                rest = np.asarray(arm.chain.rest) + 0.1 * draw(arm.chain.joints)
+                joints[:, :, arm.joints] = np.stack([rest, speed], 1)
+                angles = rest[:, None] - steps[:, None] * speed[:, None]
+                placed[name] = ArmKinematics(arm.chain)(torch.as_tensor(angles, dtype=torch.float32))
+            elif body.joint.moves:
+                joint = body.joint
+                span = joint.upper - joint.lower
+                now = joint.lower + span * (0.5 + 0.2 * draw(1)) - 0.02 * span * steps * draw(1)
+                if joint.mimic is not None:
+                    now = joint.mimic.multiplier * q[joint.mimic.entity] + joint.mimic.offset
+                q[name] = now
+                placed[name] = self._parent(joint, placed, batch) @ hung(joint, now)
+            elif body.joint.parent is not None:
+                placed[name] = self._parent(body.joint, placed, batch) @ matrix(body.joint.origin)
+            else:
+                still = 0.0 if body.joint.kind == "fixed" else 1.0
+                place = np.abs(spread * draw(1, 3)) if body.at[2] < 0.05 else spread * draw(1, 3)  # above the ground
+                way = np.asarray(body.at) + still * (place - 0.004 * steps[:, None] * draw(1, 3))
+                turn = still * (0.2 * draw(1, 3) - 0.02 * steps[:, None] * draw(1, 3))
+                turn, way = (np.array(np.broadcast_to(x, (batch, 3, 3))) for x in (turn, way))
+                turned = Rotation.from_rotvec(turn.reshape(-1, 3)).as_matrix()
+                placed[name] = make_pose(
+                    torch.as_tensor(turned.reshape(batch, 3, 3, 3), dtype=torch.float32),
+                    torch.as_tensor(way, dtype=torch.float32),
+                )
+        frames = torch.stack([placed[name] for name in self.bodies], 2)
+        known = None if joints is None else torch.as_tensor(joints)
+        return RigidState(self.layout, self.clouds(batch), frames, known)
+
+    @staticmethod
+    def _parent(joint: Joint, placed: dict[str, torch.Tensor], batch: int) -> torch.Tensor:
+        if joint.parent is None:
+            return torch.eye(4).expand(batch, 3, 4, 4)
+        return placed[joint.parent]
+
+    def model(self, seed: int = 0, **settings):
+        """A compact model with random weights in its last layers, too, so that all of it moves something."""
+        torch.manual_seed(seed)
+        small = {"points": 12, "point_width": 16, "width": 32, "blocks": 2, "arm_width": 16}
+        model = build_model("compact", self.layout, self.control, {**small, **settings}).eval()
+        with torch.no_grad():
+            for head in (model.movers.head, model.robot.slide, *model.robot.heads):
+                torch.nn.init.normal_(head.weight, std=0.2)
+                torch.nn.init.normal_(head.bias, std=0.2)
+            model.robot.response.hand_weight.normal_(std=0.01)
+        return model
+
+    def actions(self, batch: int = 2, seed: int = 0) -> torch.Tensor:
+        """Random actions (batch, A) in [-1, 1]."""
+        return torch.rand(batch, self.control.size, generator=torch.Generator().manual_seed(seed)) * 2 - 1
+
+
+def matrix(pose7) -> torch.Tensor:
+    return matrix_from_pose7(torch.tensor(pose7, dtype=torch.float64)).float()
+
+
+def hung(joint: Joint, q: np.ndarray) -> torch.Tensor:
+    """Poses (..., 4, 4) in the parent's frame at positions (...): the plain formula, by SciPy."""
+    q = np.asarray(q, float)
+    axis = np.asarray(joint.axis)
+    local = np.tile(np.eye(4), (*q.shape, 1, 1))
+    if joint.kind == "revolute":
+        turned = Rotation.from_rotvec((q[..., None] * axis).reshape(-1, 3)).as_matrix()
+        local[..., :3, :3] = turned.reshape(*q.shape, 3, 3)
+    else:
+        local[..., :3, 3] = q[..., None] * axis
+    origin = np.eye(4)
+    origin[:3, :3] = Rotation.from_quat(joint.origin[3:], scalar_first=True).as_matrix()
+    origin[:3, 3] = joint.origin[:3]
+    return torch.as_tensor(origin @ local, dtype=torch.float32)
+
+
+_CUBE = Body((0.02, 0.02, 0.02), (0.6, 0.0, 0.02))
+_DOWN = (0.0, 1.0, 0.0, 0.0)
+_PANDA = {
+    "hand": Body((0.03, 0.1, 0.03), driven=True),
+    "left_gripper": Body((0.01, 0.01, 0.03), joint=PANDA.joints["left_gripper"], driven=True),
+    "right_gripper": Body((0.01, 0.01, 0.03), joint=PANDA.joints["right_gripper"], driven=True),
+}
+_SHELF = {  # a drawer with a handle in a cabinet, and a lidded box with a knob on its lid
+    "cabinet": Body((0.15, 0.2, 0.1), (0.7, 0.4, 0.1), FIXED),
+    "drawer": Body(
+        (0.12, 0.15, 0.05),
+        joint=Joint("prismatic", "cabinet", (-0.02, 0.0, 0.0, 0.5, 0.5, 0.5, 0.5), (0.0, 0.0, -1.0), 0.0, 0.2),
+    ),
+    "handle": Body((0.01, 0.05, 0.01), joint=Joint("fixed", "drawer", (-0.13, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0))),
+}
+_CHEST = {
+    "box": Body((0.1, 0.1, 0.05), (0.5, -0.3, 0.05), FIXED),
+    "lid": Body(
+        (0.1, 0.1, 0.01),
+        joint=Joint("revolute", "box", (0.0, 0.1, 0.06, 1.0, 0.0, 0.0, 0.0), (1.0, 0.0, 0.0), -1.5, 0.1),
+    ),
+    "knob": Body((0.01, 0.01, 0.01), joint=Joint("fixed", "lid", (0.0, -0.09, 0.02, 1.0, 0.0, 0.0, 0.0))),
+}
+
+
+def _hand_of(side: str, y: float) -> dict[str, Body]:
+    """A hand with two bending fingers, the second of which follows the first, and a tip that bends on the first."""
+    first = Joint("revolute", f"{side}_hand", (0.0, 0.03, -0.05, 1.0, 0.0, 0.0, 0.0), (1.0, 0.0, 0.0), -0.2, 1.2)
+    tip = Joint("revolute", f"{side}_index", (0.0, 0.0, -0.04, 1.0, 0.0, 0.0, 0.0), (1.0, 0.0, 0.0), 0.0, 1.0)
+    thumb = replace(
+        first, origin=(0.0, -0.03, -0.05, 1.0, 0.0, 0.0, 0.0), lower=-1.2, upper=0.2,
+        mimic=Mimic(f"{side}_index", -0.5, 0.05),
+    )  # fmt: skip
+    return {
+        f"{side}_hand": Body((0.03, 0.05, 0.03), (0.5, y, 0.25), driven=True),
+        f"{side}_index": Body((0.01, 0.01, 0.02), joint=first, driven=True),
+        f"{side}_tip": Body((0.01, 0.01, 0.02), joint=tip, driven=True),
+        f"{side}_thumb": Body((0.01, 0.01, 0.02), joint=thumb, driven=True),
+        f"{side}_nail": Body(
+            (0.005, 0.005, 0.005), joint=Joint("fixed", f"{side}_tip", (0.0, 0.01, 0.0, *_DOWN)), driven=True
+        ),
+    }
+
+
+def _channels(side: str, start: int) -> tuple[Channel, ...]:
+    return (
+        Channel("translation", start, start + 3, 0.05, arm=side),
+        Channel("rotation", start + 3, start + 6, 0.1, arm=side),
+        Channel("finger", start + 6, start + 12, rest=None, arm=side),
+    )
+
+
+_TWO_ARMS = Control(
+    (*_channels("left", 0), *_channels("right", 12)), (Arm("left", "left_hand"), Arm("right", "right_hand")), 0.1
+)
+_FOUR = Control(
+    (Channel("translation", 0, 3, 0.1, arm="arm"), Channel("gripper", 3, 4, rest=1.0, arm="arm")), PANDA.control.arms
+)
+_FREE_HAND = replace(PANDA.control, arms=(Arm("arm", "hand"),))
+_FINGERS = Control((Channel("finger", 0, 2, rest=None),))
+_WORLDS = {
+    "cube": World({**_PANDA, "cube": _CUBE}, PANDA.control),
+    "drawer": World({**_PANDA, **_SHELF, "cube": _CUBE}, PANDA.control),
+    "lid": World({**_PANDA, **_CHEST}, PANDA.control),
+    "four": World({**_PANDA, **_CHEST, "cube": _CUBE}, _FOUR),
+    "unknown arm": World({"hand": Body((0.03, 0.1, 0.03), (0.5, 0.0, 0.2), driven=True), "cube": _CUBE}, _FREE_HAND),
+    "two arms": World({**_hand_of("left", 0.2), **_hand_of("right", -0.2), "cube": _CUBE, **_SHELF}, _TWO_ARMS),
+    "pot": World(  # a loose pot with a handle, a sliding cover on it, and a stopper that bends on the cover
+        {
+            **_PANDA,
+            "pot": Body((0.05, 0.05, 0.04), (0.6, 0.0, 0.04)),
+            "grip": Body((0.03, 0.01, 0.01), joint=Joint("fixed", "pot", (0.08, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0))),
+            "cover": Body(
+                (0.05, 0.05, 0.005),
+                joint=Joint("prismatic", "pot", (0.0, 0.0, 0.045, *_DOWN), (1.0, 0.0, 0.0), -0.02, 0.05),
+            ),
+            "stopper": Body(
+                (0.01, 0.01, 0.01),
+                joint=Joint("revolute", "cover", (0.0, 0.0, -0.01, *_DOWN), (0.0, 0.0, 1.0), -1.0, 1.0),
+            ),
+            "cube": replace(_CUBE, at=(0.4, 0.2, 0.02)),
+        },
+        PANDA.control,
+    ),
+    "bolted hand": World(
+        {
+            "palm": Body((0.05, 0.05, 0.02), (0.5, 0.0, 0.2), FIXED, driven=True),
+            "finger": Body(
+                (0.01, 0.01, 0.03),
+                joint=Joint("revolute", "palm", (0.0, 0.05, 0.0, 1.0, 0.0, 0.0, 0.0), (1.0, 0.0, 0.0), 0.0, 1.5),
+                driven=True,
+            ),
+            "cube": _CUBE,
+        },
+        _FINGERS,
+    ),
+    "no arm": World({"cube": _CUBE, "ball": replace(_CUBE, at=(0.4, 0.1, 0.05)), **_CHEST}),
+    "one thing": World({"cube": _CUBE}),
+}
+
+
+@pytest.fixture(scope="session")
+def worlds() -> dict[str, World]:
+    """Small synthetic scenes: one of each kind of robot and of joint."""
+    return _WORLDS
+
+
+@pytest.fixture(scope="session")
+def new_body():
+    """Class of the bodies of :func:`worlds`."""
+    return Body

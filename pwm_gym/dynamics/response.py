@@ -44,7 +44,7 @@ class LinearResponse(nn.Module):
     def __init__(self, links: Layout, action_size: int) -> None:
         super().__init__()
         self.hands = list(links.hands)
-        self.tree = JointTree(links, [i for i, e in enumerate(links) if e.joint.moves])
+        self.tree = JointTree(links, [i for i, e in enumerate(links) if e.joint.moves], links.attached)
         joints, hands = len(self.tree), len(self.hands)
         self.register_buffer("hand_weight", torch.zeros(hands, 12 + action_size, 6))
         self.register_buffer("joint_weight", torch.zeros(3 * joints + action_size + 1, joints))
@@ -63,7 +63,7 @@ class LinearResponse(nn.Module):
     def joint_features(self, positions: Tensor, action: Tensor) -> Tensor:
         """(B, 3 S + A + 1): joint positions and two speeds of (B, 3, S), the action and a constant."""
         speeds = positions[..., :2, :] - positions[..., 1:, :]
-        one = torch.ones_like(action[..., :1])
+        one = action.new_ones(*action.shape[:-1], 1)
         return torch.cat([positions[..., 0, :], speeds.flatten(-2), action, one], -1)
 
     def hand_twists(self, frames: Tensor, action: Tensor) -> Tensor:

@@ -9,7 +9,14 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from pwm_gym.scene.layout import Layout
-from pwm_gym.scene.se3 import matrix_from_pose7, rotation_about, rotation_parts
+from pwm_gym.scene.se3 import (
+    make_pose,
+    matrix_from_pose7,
+    motion_vector,
+    rotation_about,
+    rotation_from_vector,
+    rotation_parts,
+)
 
 __all__ = ["JointTree"]
 
@@ -20,6 +27,7 @@ class JointTree(nn.Module):
     Args:
         layout: the scene's entities.
         moving: positions in the layout of the entities whose joints these are, S of them; parents come first.
+        attached: positions of entities that are fixed to others, and go where those go.
     """
 
     parts: Tensor
@@ -35,12 +43,12 @@ class JointTree(nn.Module):
     gains: Tensor
     offsets: Tensor
 
-    def __init__(self, layout: Layout, moving: Sequence[int]) -> None:
+    def __init__(self, layout: Layout, moving: Sequence[int], attached: Sequence[int] = ()) -> None:
         super().__init__()
         self.moving, entities = list(moving), [layout.entities[i] for i in moving]
         joints = [e.joint for e in entities]
         self.parents = [None if j.parent is None else layout.index(j.parent) for j in joints]
-        self._levels = self._by_depth()
+        self._order = self._parents_first(layout, attached)
         origin = matrix_from_pose7(
             torch.tensor([j.origin for j in joints], dtype=torch.float32).reshape(-1, 7)
         )  # (S, 4, 4)
@@ -79,13 +87,14 @@ class JointTree(nn.Module):
     def __len__(self) -> int:
         return len(self.moving)
 
-    def _by_depth(self) -> list[list[int]]:
-        """Joints by the number of other joints of this tree below them."""
-        place = {entity: k for k, entity in enumerate(self.moving)}
-        depth: dict[int, int] = {}
-        for k, parent in enumerate(self.parents):
-            depth[k] = 0 if parent is None or parent not in place else depth[place[parent]] + 1
-        return [[k for k in depth if depth[k] == level] for level in range(max(depth.values(), default=-1) + 1)]
+    def _parents_first(self, layout: Layout, attached: Sequence[int]) -> list[tuple[int, int | None, int | None]]:
+        """Place, parent and joint, if any, of every entity that hangs on another, parents first."""
+        joints = {entity: k for k, entity in enumerate(self.moving)}
+        names = [layout.names[i] for i in {*joints, *attached}]
+        order = sorted(map(layout.index, names), key=layout.depth)
+        parents = [layout.entities[i].joint.parent for i in order]
+        places = [None if name is None else layout.index(name) for name in parents]
+        return [(i, parent, joints.get(i)) for i, parent in zip(order, places, strict=True)]
 
     def positions(self, poses: Tensor) -> Tensor:
         """Joint positions (..., S) of entity poses (..., E, 4, 4): radians, or metres."""
@@ -111,15 +120,24 @@ class JointTree(nn.Module):
         shift = F.pad((self.shifts * positions.unsqueeze(-1)).unsqueeze(-1), (3, 0, 0, 1))  # into the last column
         return pose + shift
 
-    def place(self, poses: Tensor, positions: Tensor) -> Tensor:
-        """Entity poses (..., E, 4, 4) with these joints at ``positions`` (..., S); parents are where ``poses`` say."""
-        if not self.moving:
+    def place(self, poses: Tensor, positions: Tensor, before: Tensor | None = None) -> Tensor:
+        """Entity poses (..., E, 4, 4) with these joints at ``positions`` (..., S); what is attached follows.
+
+        Args:
+            poses: where the parents are.
+            positions: radians, or metres.
+            before: poses a step ago, which tell how attached entities hang; only needed where there are some.
+        """
+        if not self._order:
             return poses
         local, moved = self.local(positions).unbind(-3), list(poses.unbind(-3))
-        for level in self._levels:
-            for k in level:
-                parent = self.parents[k]
-                moved[self.moving[k]] = local[k] if parent is None else moved[parent] @ local[k]
+        old = (poses if before is None else before).unbind(-3)
+        for entity, parent, k in self._order:
+            if k is None:
+                assert parent is not None
+                moved[entity] = _carried(old[entity], old[parent], moved[parent])
+            else:
+                moved[entity] = local[k] if parent is None else moved[parent] @ local[k]
         return torch.stack(moved, -3)
 
     def limit(self, positions: Tensor) -> Tensor:
@@ -127,3 +145,14 @@ class JointTree(nn.Module):
         if self._mimics:
             positions = self.gains * positions[..., self._leaders] + self.offsets
         return torch.minimum(torch.maximum(positions, self.lower), self.upper)
+
+
+def _carried(pose: Tensor, before: Tensor, after: Tensor) -> Tensor:
+    """Poses (..., 4, 4) of what is fixed to bodies that moved from ``before`` to ``after``; exactly still if they did.
+
+    The turn is made from its vector, so that it is one however far the rotations are from orthonormal.
+    """
+    turn = rotation_from_vector(motion_vector(after[..., :3, :3] @ before[..., :3, :3].transpose(-1, -2)))
+    offset = pose[..., :3, 3:] - before[..., :3, 3:]
+    way = after[..., :3, 3:] - before[..., :3, 3:] + (turn @ offset - offset)
+    return make_pose(turn @ pose[..., :3, :3], (pose[..., :3, 3:] + way).squeeze(-1))

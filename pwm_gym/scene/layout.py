@@ -150,10 +150,12 @@ class Layout:
 
     def resize(self, points: int) -> Layout:
         """The same entities with ``points`` points in all, divided in the same proportions."""
-        if not len(self.entities) <= points <= self.points:
-            raise PwmGymError(f"points={points}; expected {len(self.entities)} to {self.points}")
-        bounds = [round(e.stop * points / self.points) for e in self.entities]
-        return self.with_counts(map(int, np.diff([0, *bounds])))
+        count = len(self.entities)
+        if not count <= points <= self.points:
+            raise PwmGymError(f"points={points}; expected {count} to {self.points}")
+        share = (points - count) / max(1, self.points - count)  # of what is left when each has one point
+        bounds = np.floor(share * np.cumsum([e.points - 1 for e in self.entities]) + 0.5)
+        return self.with_counts(int(1 + extra) for extra in np.diff([0, *bounds]))
 
     def truncate(self, count: int) -> Layout:
         """The same entities with at most ``count`` points each."""
@@ -208,14 +210,29 @@ class Layout:
     def articulated(self) -> tuple[int, ...]:
         """Positions of the entities that contact moves along a joint, parents first."""
         found = [i for i, e in enumerate(self.entities) if e.articulated]
-        return tuple(sorted(found, key=self._depth))
+        return tuple(sorted(found, key=self.depth))
 
-    def _depth(self, index: int) -> int:
+    def depth(self, index: int) -> int:
         """Number of entities that the one at ``index`` hangs on."""
-        depth, parent = 0, self.entities[index].joint.parent
+        return len(self._ancestors(index))
+
+    def root(self, index: int) -> int:
+        """Position of what the entity at ``index`` hangs on in the end; its own where that is the world."""
+        return (index, *self._ancestors(index))[-1]
+
+    def _ancestors(self, index: int) -> list[int]:
+        """Positions of the entities that the one at ``index`` hangs on, its parent first."""
+        found, parent = [], self.entities[index].joint.parent
         while parent is not None:
-            depth, parent = depth + 1, self[parent].joint.parent
-        return depth
+            found.append(self.index(parent))
+            parent = self[parent].joint.parent
+        return found
+
+    @cached_property
+    def attached(self) -> tuple[int, ...]:
+        """Positions of the entities that are fixed to one that can move."""
+        fixed = [i for i, e in enumerate(self.entities) if e.joint.kind == "fixed"]
+        return tuple(i for i in fixed if any(self.entities[k].joint.kind != "fixed" for k in self._ancestors(i)))
 
     @property
     def floor(self) -> float:

@@ -7,6 +7,7 @@ linear response, a grasped object is attached to its hand, and a released one fa
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import torch
 from torch import Tensor, nn
@@ -14,6 +15,7 @@ from torch import Tensor, nn
 from pwm_gym.dynamics.protocols import Transitions
 from pwm_gym.dynamics.response import LinearResponse
 from pwm_gym.robots import Arm, Control
+from pwm_gym.robots.joints import JointTree
 from pwm_gym.scene import Layout, RigidState, State
 from pwm_gym.scene.se3 import inverse, make_pose, rotation_from_vector, transform
 
@@ -21,7 +23,6 @@ __all__ = ["BaselineConfig", "Commanded", "LinearBaseline", "Still"]
 
 _GRAVITY = 9.81
 _REACHES = 0.01  # metres by which what is below an object may reach above its lowest point and still support it
-_FLOOR = -1e3  # metres: of a scene without one
 
 
 @dataclass(frozen=True)
@@ -75,10 +76,13 @@ class LinearBaseline(Still):
             for hand, holds in zip(self.response.hands, by_hand, strict=True):
                 carried = after[:, hand] @ inverse(links[:, 0, hand]) @ state.poses()[:, k]
                 moved[k] = torch.where(holds[:, None, None], carried, moved[k])
-        return state.advance(torch.stack(moved, 1))
+        now, tree = state.poses(), _hanging(state.layout).to(action.device)
+        return state.advance(tree.place(torch.stack(moved, 1), tree.positions(now), now))
 
     def _robot(self, links: Tensor, action: Tensor, held: list[list[Tensor]]) -> Tensor:
         """Next poses (B, L, 4, 4) of the links."""
+        if not len(self.links):
+            return links[:, 0]
         tree, now = self.response.tree, links[:, 0, self.response.hands]
         step = self._hand_steps(links, action)
         position = self.response.confine(now[..., :3, 3] + step[..., :3])
@@ -90,7 +94,7 @@ class LinearBaseline(Still):
         joints = tree.limit(self._joints(before, action))
         for holds in (h for by_hand in held for h in by_hand):  # fingers around a held object stay where they are
             joints = torch.where(holds.unsqueeze(-1), torch.maximum(joints, before[:, 0]), joints)
-        return tree.place(torch.stack(moved, 1), joints)
+        return tree.place(torch.stack(moved, 1), joints, links[:, 0])
 
     def _hand_steps(self, links: Tensor, action: Tensor) -> Tensor:
         """World-frame twists (B, H, 6) of the hands."""
@@ -135,7 +139,7 @@ class LinearBaseline(Still):
     def _support(state: RigidState, k: int, points: Tensor) -> Tensor:
         """Height (B,) of the highest support or entity below an object's points (B, n, 3)."""
         low, high = points.amin(1), points.amax(1)
-        height = points.new_full((len(points),), _FLOOR)
+        height = points.new_full((len(points),), state.layout.floor)  # however deep it was pushed
         boxes = [_extent(s.origin[:3], s.half, points) for s in state.layout.supports]
         others = [e.name for i, e in enumerate(state.layout) if i != k and not e.driven]
         boxes += [(x.amin(1), x.amax(1)) for x in map(state.entity, others)]
@@ -144,6 +148,13 @@ class LinearBaseline(Still):
             below = beside & (highest[..., 2] <= low[:, 2] + _REACHES)
             height = torch.where(below, torch.maximum(height, highest[..., 2]), height)
         return height
+
+
+@cache
+def _hanging(layout: Layout) -> JointTree:
+    """What hangs on other entities and is not the robot's: it keeps its place, or its joint's position, on them."""
+    attached = [i for i in layout.attached if not layout.entities[i].driven]
+    return JointTree(layout, [i for i in layout.articulated if layout.entities[i].joint.parent is not None], attached)
 
 
 def _extent(origin: tuple[float, ...], half: tuple[float, ...], like: Tensor) -> tuple[Tensor, Tensor]:

@@ -23,7 +23,7 @@ _LENGTH, _NEAR, _TOUCH, _STEP = 0.1, 0.01, 0.005, 0.01  # metres that count as 1
 _DEPTH, _SPEED = 0.002, 0.001
 _FADE = 0.03  # metres beyond which entities that are no links do not see each other
 _HANGING, _HANGS = 0.004, 0.004  # metres: what is farther than the first (plus the second) from all is unsupported
-_APART = 1.0  # metres that part a mover from itself
+_APART = 1.0  # metres that part a mover from itself, and from what hangs on it
 PAIR_FEATURES = 7
 """Values of :attr:`Contacts.pairs`."""
 

@@ -184,6 +184,8 @@ class CompactModel(nn.Module):
             middle = shapes.mean(2)
             rotation = frames[:, 0, :3, :3]
             following = self.movers(plan, poses, moves[:, :, 0], middle, contacts, tokens, links_next, rotation)
+        elif plan.attached:
+            following = plan.tree.place(following, following.new_zeros(len(following), 0), poses[:, 0])
         if not plan.sorted:
             following, tokens = following[:, plan.back], tokens[:, plan.back]
         error = None
@@ -213,7 +215,7 @@ class CompactModel(nn.Module):
             part = action[:, channel.slice]
             vector = channel.kind in ("translation", "rotation")
             parts.append((part.unsqueeze(1) @ rotation).squeeze(1) if vector else part)
-        return torch.cat(parts, 1)
+        return torch.cat(parts, 1) if parts else action
 
     def _attend(self, entities: Tensor, action: Tensor) -> Tensor:
         """Entity tokens (B, P, C) after attention over [entities, action, registers]."""

@@ -3,7 +3,7 @@
 Each mover's twist is a gated sum: of the motions of its carriers (links, articulated parts, other objects), of the ways
 out of what would enter it, of free flight (articulated parts: of their own last motion) and of a learned twist. Gates
 reach 0 and 1 exactly, so that what nothing touches rests and what is held does not slip, for any number of steps.
-Carriers are resolved in the order robot, articulated parts, objects.
+Carriers are resolved in the order robot, articulated parts, objects. What is fixed to something that moves follows it.
 """
 
 from __future__ import annotations
@@ -103,8 +103,10 @@ class MoverMotion(nn.Module):
         now = poses[:, 0]
         decoded = self._decode(plan, contacts, tokens)
         following = torch.cat([links_next, now[:, plan.links :]], 1)
+        positions = now.new_zeros(len(now), 0)
         if plan.articulated:
-            following = self._articulate(plan, poses, moves, contacts, decoded, following)
+            positions = self._articulate(plan, poses, moves, contacts, decoded, links_next)
+        following = plan.tree.place(following, positions, now)
         if not plan.loose:
             return following
         count = len(plan.loose)
@@ -116,7 +118,8 @@ class MoverMotion(nn.Module):
         parts = list(following.unbind(1))
         for place, pose in zip(plan.loose, moved.unbind(1), strict=True):
             parts[place] = pose
-        return torch.stack(parts, 1)
+        following = torch.stack(parts, 1)
+        return plan.tree.place(following, positions, now) if plan.ridden else following
 
     def _decode(self, plan: Plan, contacts: Contacts, tokens: Tensor) -> _Decoded:
         own = tokens[:, plan.movers]
@@ -146,7 +149,7 @@ class MoverMotion(nn.Module):
         Args:
             plan: of the layout.
             now: poses (B, P, 4, 4).
-            following: next ones, of links and articulated parts.
+            following: next ones, of links, articulated parts and what is attached to them.
             moves: last twists (B, P, 6).
             centre: the movers' middles (B, 2, F, 3), now and before.
             contacts: of the movers.
@@ -154,7 +157,7 @@ class MoverMotion(nn.Module):
             frame: rotation (B, 3, 3) of the frame of reference.
         """
         count = len(plan.loose)
-        known = [*range(plan.links), *(k for k in plan.articulated if k < plan.partners)]
+        known = [k for k in (*range(plan.links), *plan.articulated, *plan.attached) if k < plan.partners]
         push = contacts.push[:, :count]
         twisted = decoded.learned[:, :count]
         turned = frame.transpose(1, 2)
@@ -197,9 +200,9 @@ class MoverMotion(nn.Module):
         return motion
 
     def _articulate(
-        self, plan: Plan, poses: Tensor, moves: Tensor, contacts: Contacts, decoded: _Decoded, following: Tensor
+        self, plan: Plan, poses: Tensor, moves: Tensor, contacts: Contacts, decoded: _Decoded, links_next: Tensor
     ) -> Tensor:
-        """Next poses (B, P, 4, 4), those of articulated parts among them.
+        """Next positions (B, S) of articulated parts' joints.
 
         A joint takes what its carriers' motion at the contact, and the way out of what would enter it, are along it.
         """
@@ -207,7 +210,7 @@ class MoverMotion(nn.Module):
         positions = tree.positions(poses)  # (B, 3, S)
         touching = contacts.touching[:, first:]  # (B, S, P, 3)
         now = poses[:, 0]
-        moved = torch.cat([twist(now[:, : plan.links], following[:, : plan.links]), moves[:, plan.links :]], 1)
+        moved = torch.cat([twist(now[:, : plan.links], links_next), moves[:, plan.links :]], 1)
         moved, partners = moved[:, : plan.partners], now[:, : plan.partners]
         offset = touching - partners[:, None, :, :3, 3]
         velocity = moved[:, None, :, :3] + torch.linalg.cross(moved[:, None, :, 3:].expand_as(offset), offset)
@@ -217,7 +220,7 @@ class MoverMotion(nn.Module):
         inertia = decoded.flying[:, first:, 0] * (positions[:, 0] - positions[:, 1])
         unit = torch.where(tree.revolute, self._scales.rotation, self._scales.translation)
         step = carried + pushed + inertia + unit * decoded.learned[:, first:, 0]
-        return tree.place(following, tree.limit(positions[:, 0] + step))
+        return tree.limit(positions[:, 0] + step)
 
     @staticmethod
     def _along(plan: Plan, now: Tensor, points: Tensor) -> Tensor:

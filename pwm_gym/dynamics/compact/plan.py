@@ -34,11 +34,15 @@ class Plan:
     kinds: Tensor
     """Joint kind (P - L,) of each entity behind the links."""
     partners: int
-    """How many of :attr:`order`, its first, may touch a mover: all, or the links alone where nothing else is there."""
+    """How many of :attr:`order`, its first, may touch a mover: all, or the links alone where the mover is all else."""
+    attached: list[int]
+    """Places of what is fixed to something that moves."""
     itself: Tensor
-    """Bool (F, partners): each mover's own place."""
+    """Bool (F, partners): each mover's own place, and the parts of a loose body that hang together."""
+    ridden: bool
+    """Whether something hangs on a loose entity."""
     tree: JointTree
-    """Joints of the articulated movers, of entities in :attr:`order`."""
+    """Joints of the articulated movers, of entities in :attr:`order`, and what is fixed to something that moves."""
     floor: float
     """Height of the horizontal support without edges, metres."""
     walls: Tensor
@@ -61,8 +65,11 @@ class Plan:
             {e.name: e.joint for e in layout},
         )
         loose, articulated = list(sorted_layout.loose), list(sorted_layout.articulated)
+        attached = [i for i in sorted_layout.attached if i >= len(links)]
         movers = loose + articulated
-        partners = len(links) if len(order) == len(links) + 1 else len(order)
+        roots = [sorted_layout.root(i) for i in range(len(order))]
+        bodies = [root if root in loose else i for i, root in enumerate(roots)]
+        partners = len(links) if len(links) and len(order) == len(links) + 1 else len(order)
         walls = [s for s in layout.supports if not s.plane]
         poses = matrix_from_pose7(torch.tensor([s.origin for s in walls], dtype=torch.float32).reshape(-1, 7))
         kinds = [JOINT_KINDS.index(e.joint.kind) for e in sorted_layout.entities[len(links) :]]
@@ -75,8 +82,10 @@ class Plan:
             articulated=articulated,
             kinds=torch.tensor(kinds, dtype=torch.long, device=device),
             partners=partners,
-            itself=torch.tensor([[p == m for p in range(partners)] for m in movers], device=device),
-            tree=JointTree(sorted_layout, articulated).to(device),
+            attached=attached,
+            itself=torch.tensor([[bodies[p] == bodies[m] for p in range(partners)] for m in movers], device=device),
+            ridden=len({*bodies}) < len(bodies),
+            tree=JointTree(sorted_layout, articulated, attached).to(device),
             floor=layout.floor,
             walls=inverse(poses).to(device),
             wall_half=torch.tensor([s.half for s in walls], dtype=torch.float32, device=device).reshape(-1, 3),

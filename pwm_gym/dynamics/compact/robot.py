@@ -14,7 +14,7 @@ from pwm_gym.dynamics.response import LinearResponse, twist, twists
 from pwm_gym.errors import SceneError
 from pwm_gym.robots import Control
 from pwm_gym.scene import Layout
-from pwm_gym.scene.se3 import inverse, make_pose, rotation_from_vector
+from pwm_gym.scene.se3 import make_pose, rotation_from_vector
 
 __all__ = ["RobotForecast", "RobotMotion"]
 
@@ -79,8 +79,6 @@ class RobotMotion(nn.Module):
         for head in (*self.heads, self.slide):
             nn.init.zeros_(head.weight)
             nn.init.zeros_(head.bias)
-        fixed = [i for i, e in enumerate(links) if e.joint.kind == "fixed" and e.joint.parent is not None]
-        self._fixed = [(i, links.index(str(links.entities[i].joint.parent))) for i in fixed]
         commands = [c.slice for c in control.of_kind("translation", "rotation")]
         self._commands = [k for part in commands for k in range(part.start, part.stop)]
         self._moving = [e.joint.kind for e in links if e.joint.moves]
@@ -136,19 +134,17 @@ class RobotMotion(nn.Module):
 
     def _placed(self, links: Tensor, hands: Tensor, positions: Tensor) -> Tensor:
         """Links' poses (B, L, 4, 4) with hands at (B, H, 4, 4) and driven joints at (B, S)."""
+        if not self.count:
+            return links
         moved = list(links.unbind(1))
         for place, pose in zip(self.hands, hands.unbind(1), strict=True):
             moved[place] = pose
-        placed = self.response.tree.place(torch.stack(moved, 1), positions)
-        if not self._fixed:
-            return placed
-        moved = list(placed.unbind(1))
-        for place, parent in self._fixed:
-            moved[place] = moved[parent] @ inverse(links[:, parent]) @ links[:, place]
-        return torch.stack(moved, 1)
+        return self.response.tree.place(torch.stack(moved, 1), positions, links)
 
     def tokens(self, forecast: RobotForecast, tokens: Tensor) -> Tensor:
         """Link tokens (B, L, C) with what is known of each arm added to its hand's."""
+        if not self.joints:
+            return tokens
         rows = list(tokens.unbind(1))
         for hand, arm, layer in zip(self.hands, forecast.arms, self.arm_tokens, strict=True):
             if arm is not None:
