@@ -10,10 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
-from pwm_gym.assets.folder import AssetFolder
-from pwm_gym.assets.grasps import Grasp, ObjectGrasps, find_grasps
+from pwm_gym.assets.folder import DENSITY, AssetFolder
 from pwm_gym.errors import PwmGymError
 from pwm_gym.files import load_arrays, save_arrays
+from pwm_gym.skills.object_grasps import Grasp, ObjectGrasps, find_grasps
 
 __all__ = ["object_grasps"]
 
@@ -47,7 +47,7 @@ def _find(folder: AssetFolder, name: str, digest: str) -> ObjectGrasps:
     path = folder.model(name) / "grasps.npz"
     with contextlib.suppress(PwmGymError):
         return _read(path, digest)
-    known = find_grasps(folder.pieces(name))
+    known = find_grasps(folder.pieces(name), density=DENSITY)
     rows = np.array([np.hstack(astuple(grasp)) for grasp in known.grasps]).reshape(-1, 12)
     arrays = {"grasps": rows, "cloud": known.cloud, "mass": np.array(known.mass)}
     with contextlib.suppress(OSError):

@@ -15,9 +15,9 @@ from pwm_gym.assets.folder import AssetFolder
 from pwm_gym.assets.known import object_grasps
 from pwm_gym.assets.names import is_unseen
 from pwm_gym.assets.trials import YcbTrials
-from pwm_gym.assets.ycb_expert import PickYcbExpert
 from pwm_gym.errors import PwmGymError
 from pwm_gym.files import write_atomically
+from pwm_gym.skills import PickObject
 
 __all__ = ["liftable_objects", "liftable_record", "measure_liftable"]
 
@@ -64,7 +64,7 @@ def measure_liftable(
     trials = YcbTrials(folder)
     try:
         for name in tqdm([name for name in names if name not in record["objects"]], desc="picking"):
-            expert = PickYcbExpert(object_grasps(folder, name))
+            expert = PickObject(object_grasps(folder, name))
             steps = [trials.steps(name, _FIRST_SEED + i, expert, max_steps) for i in range(tries)]
             record["objects"][name] = _row(name, steps)
             record["summary"] = _summary(record["objects"])

@@ -2,6 +2,19 @@
 
 from pwm_gym.skills.grasp import TopGrasp
 from pwm_gym.skills.motion import drive, side_yaw, tool_pose, yaw_error
+from pwm_gym.skills.object_grasps import Grasp, ObjectGrasps, find_grasps
+from pwm_gym.skills.pick import PickObject
 from pwm_gym.skills.place import Place
 
-__all__ = ["Place", "TopGrasp", "drive", "side_yaw", "tool_pose", "yaw_error"]
+__all__ = [
+    "Grasp",
+    "ObjectGrasps",
+    "PickObject",
+    "Place",
+    "TopGrasp",
+    "drive",
+    "find_grasps",
+    "side_yaw",
+    "tool_pose",
+    "yaw_error",
+]

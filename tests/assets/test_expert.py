@@ -2,10 +2,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pwm_gym.assets import find_grasps, generated_pieces
+from pwm_gym.assets import generated_pieces
 from pwm_gym.assets.trials import YcbTrials
-from pwm_gym.assets.ycb_expert import PickYcbExpert
 from pwm_gym.errors import UnknownNameError
+from pwm_gym.skills import PickObject, find_grasps
 
 DOWN = np.array([0.0, 1.0, 0.0, 0.0])
 GOAL = np.array([0.6, 0.1, 0.2])
@@ -13,7 +13,7 @@ GOAL = np.array([0.6, 0.1, 0.2])
 
 @pytest.fixture(scope="module")
 def expert():
-    return PickYcbExpert(find_grasps(generated_pieces("shape_bar"), count=4))
+    return PickObject(find_grasps(generated_pieces("shape_bar"), count=4))
 
 
 def scene(tool, width, body=(0.6, 0.0, 0.015)):
@@ -59,7 +59,7 @@ def test_it_has_no_memory(expert):
 def test_a_fallen_object_without_a_grasp_from_above_is_left_alone(expert):
     poses = scene((0.5, 0.1, 0.3), 0.08)
     poses[3, 3:] = Rotation.from_euler("x", 50, degrees=True).as_quat(scalar_first=True)
-    upright_only = PickYcbExpert(find_grasps(generated_pieces("shape_disc"), count=4))
+    upright_only = PickObject(find_grasps(generated_pieces("shape_disc"), count=4))
     assert np.allclose(upright_only.act(poses, GOAL)[:3], 0)
 
 
@@ -67,7 +67,7 @@ def test_picksingleycb_runs_with_generated_shapes_and_the_expert_lifts_them(shap
     trials = YcbTrials(shapes)
     try:
         for name in ("shape_box", "shape_bar"):
-            steps = trials.steps(name, 100, PickYcbExpert(find_grasps(shapes.pieces(name), count=8)), 150)
+            steps = trials.steps(name, 100, PickObject(find_grasps(shapes.pieces(name), count=8)), 150)
             assert steps is not None and 20 < steps < 120
         with pytest.raises(UnknownNameError, match="unknown object '011_banana'"):
             trials.reset("011_banana", 0)

@@ -3,9 +3,10 @@ import pytest
 import trimesh
 from trimesh.transformations import translation_matrix
 
-from pwm_gym.assets import find_grasps, generated_pieces, object_grasps
-from pwm_gym.assets.gripper import PANDA
+from pwm_gym.assets import generated_pieces, object_grasps
 from pwm_gym.errors import PwmGymError
+from pwm_gym.robots.gripper import PANDA
+from pwm_gym.skills import find_grasps
 
 
 def upright(known):
@@ -56,7 +57,7 @@ def test_grasps_are_kept_beside_the_object_and_found_anew_for_other_pieces(shape
     path = shapes.model("shape_bar") / "grasps.npz"
     assert path.is_file()
     known._find.cache_clear()
-    monkeypatch.setattr(known, "find_grasps", lambda pieces: pytest.fail("searched again"))
+    monkeypatch.setattr(known, "find_grasps", lambda *_, **__: pytest.fail("searched again"))
     again = object_grasps(shapes, "shape_bar")
     assert again.grasps == first.grasps and again.mass == first.mass
     np.testing.assert_array_equal(again.cloud, first.cloud)

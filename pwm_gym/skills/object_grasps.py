@@ -14,9 +14,8 @@ import numpy as np
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from pwm_gym.assets.folder import DENSITY
-from pwm_gym.assets.gripper import PANDA, Gripper
 from pwm_gym.errors import PwmGymError
+from pwm_gym.robots.gripper import PANDA, Gripper
 
 __all__ = ["Grasp", "ObjectGrasps", "find_grasps"]
 
@@ -66,7 +65,7 @@ class ObjectGrasps:
     cloud: np.ndarray
     """Surface points (N, 3) in the canonical frame, metres."""
     mass: float
-    """Kilograms, at the density that ManiSkill takes."""
+    """Kilograms."""
 
 
 @dataclass(frozen=True)
@@ -93,6 +92,7 @@ def find_grasps(
     gripper: Gripper = PANDA,
     count: int = 24,
     seed: int = 0,
+    density: float = 1000.0,
 ) -> ObjectGrasps:
     """Ranked grasps from above of an object as the simulator places it (its z axis up), and as it may fall over.
 
@@ -101,6 +101,7 @@ def find_grasps(
         gripper: fingers and hand.
         count: most grasps of each way to rest.
         seed: of the points on the surface.
+        density: kilograms per cubic metre, which gives the mass.
 
     Raises:
         PwmGymError: there are no pieces.
@@ -110,7 +111,7 @@ def find_grasps(
     found = [grasp for up in _resting(pieces) for grasp in _from_above(pieces, up, gripper, count, seed)]
     whole = trimesh.util.concatenate(pieces)
     cloud = trimesh.sample.sample_surface(whole, _CLOUD, seed=seed)[0]
-    mass = DENSITY * sum(abs(piece.volume) for piece in pieces)
+    mass = density * sum(abs(piece.volume) for piece in pieces)
     return ObjectGrasps(tuple(found), cloud.astype(np.float32), float(mass))
 
 

@@ -1,4 +1,4 @@
-"""A scripted expert for PickSingleYCB: each phase is told from the poses alone."""
+"""Picking up an object whose grasps are known, with the Panda: each phase is told from the poses alone."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pwm_gym.assets.grasps import Grasp, ObjectGrasps
-from pwm_gym.assets.gripper import PANDA
 from pwm_gym.robots import panda
+from pwm_gym.robots.gripper import PANDA
+from pwm_gym.skills.object_grasps import Grasp, ObjectGrasps
 
-__all__ = ["PickYcbExpert"]
+__all__ = ["PickObject"]
 
 _GAIN = 1.5  # of the servo: the controller lags and makes a part of what it is asked for
 _CLEAR = 0.02  # metres between the finger tips and the object's top before the hand moves sideways
@@ -26,7 +26,7 @@ _HIGH = 0.05  # metres that an object is lifted before it is carried sideways
 
 
 @dataclass(frozen=True)
-class PickYcbExpert:
+class PickObject:
     """Hover, descend, close, lift, carry.
 
     Positions are in the frame of the robot's base, whose z = 0 is the table's top; lengths in metres.
