@@ -33,10 +33,10 @@ lint: $(VENV)/.package
 	cd tests && $(BIN)/mypy --config-file ../pyproject.toml -p pwm_gym
 
 test: lint
-	$(BIN)/pytest
+	$(BIN)/pytest -n 2 --dist loadfile
 
 test-all: lint
-	$(BIN)/pytest -m 'slow or not slow'
+	$(BIN)/pytest -n 2 --dist loadfile -m 'slow or not slow'
 
 clean:
 	rm -rf $(VENV) build *.egg-info demo .mypy_cache .ruff_cache .pytest_cache

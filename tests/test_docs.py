@@ -6,19 +6,41 @@ import importlib.util
 import re
 from pathlib import Path
 
+import gymnasium as gym
 import pytest
+
+from pwm_gym.costs import COSTS, GRASPS, SUCCESSES
+from pwm_gym.tasks import TASKS
 
 ROOT = Path(__file__).parents[1]
 
 
-def test_readme_snippets_run(monkeypatch, tmp_path):
-    blocks = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.S)
-    assert len(blocks) >= 5
-    monkeypatch.chdir(tmp_path)
-    namespace: dict = {}
+def run_page(page):
+    """Names that the Python blocks of a page define, run one after the other."""
+    blocks = re.findall(r"```python\n(.*?)```", (ROOT / page).read_text(), re.S)
+    assert blocks
+    namespace: dict = {"__name__": "page"}
     for block in blocks:
-        exec(compile(block, "README.md", "exec"), namespace)
-    assert namespace["info"]["cost_terms"]
+        exec(compile(block, page, "exec"), namespace)
+    return namespace
+
+
+def test_readme_snippets_run(monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    assert run_page("README.md")["info"]["cost_terms"]
+
+
+def test_a_task_of_ones_own_is_one_short_file(monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    kept = [(registry, dict(registry)) for registry in (TASKS, COSTS, SUCCESSES, GRASPS, gym.registry)]
+    try:
+        names = run_page("docs/own_task.md")
+        assert names["success"] and "PushCube" in TASKS
+        assert names["observation"]["points"].shape == (1200, 3)
+    finally:
+        for registry, before in kept:
+            registry.clear()
+            registry.update(before)
 
 
 @pytest.mark.parametrize("name", ["generate", "generate_results"])
