@@ -25,7 +25,7 @@ _FIRST_SEED = 100
 
 
 def liftable_record() -> dict[str, Any]:
-    """The committed record of :func:`measure_liftable` on 58 YCB objects."""
+    """The committed record of :func:`measure_liftable`; an object that it does not list was not measured."""
     return dict(json.loads(resources.files("pwm_gym.assets").joinpath("ycb_liftable.json").read_text()))
 
 

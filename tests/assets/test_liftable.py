@@ -19,9 +19,10 @@ def test_the_record_agrees_with_itself():
 
 def test_most_objects_can_be_lifted_and_wide_ones_cannot():
     found = liftable.liftable_objects()
-    assert len(found) >= 40
-    assert "061_foam_brick" in found and "036_wood_block" not in found
+    assert "003_cracker_box" in found and "036_wood_block" not in found
     assert set(liftable.liftable_objects(5)) < set(found)
+    summary = liftable.liftable_record()["summary"]
+    assert summary["liftable"] > 0.75 * summary["objects"] and summary["success_of_liftable"] > 0.9
 
 
 class _Trials:
