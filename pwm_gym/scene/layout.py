@@ -113,16 +113,29 @@ class Layout:
             raise SceneError(
                 f"the joint of {name!r} has parent {joint.parent!r}; expected one of {', '.join(self.names)}"
             )
-        if joint.mimic is not None and joint.mimic.entity not in names:
-            raise SceneError(f"the joint of {name!r} follows that of {joint.mimic.entity!r}, which is no entity")
-        if joint.mimic is not None and not self[joint.mimic.entity].joint.moves:
-            raise SceneError(f"the joint of {name!r} follows that of {joint.mimic.entity!r}, which does not move")
+        if joint.mimic is not None:
+            self._check_mimic(entity, joint.mimic.entity)
         ancestor, seen = joint.parent, [name]
         while ancestor is not None:
             if ancestor in seen:
                 raise SceneError(f"joints make a circle: {' on '.join([*seen, ancestor])}")
             seen.append(ancestor)
             ancestor = self[ancestor].joint.parent
+
+    def _check_mimic(self, entity: Entity, followed: str) -> None:
+        what = f"the joint of {entity.name!r} follows"
+        if followed == entity.name:
+            raise SceneError(f"{what} itself")
+        if followed not in self.names:
+            raise SceneError(f"{what} that of {followed!r}, which is no entity")
+        leader = self[followed]
+        if not leader.joint.moves:
+            raise SceneError(f"{what} that of {followed!r}, which does not move")
+        if leader.joint.mimic is not None:
+            raise SceneError(f"{what} that of {followed!r}, which follows another")
+        if leader.driven != entity.driven:
+            who = "does not move" if entity.driven else "moves"
+            raise SceneError(f"{what} that of {followed!r}, which the robot {who}")
 
     @classmethod
     def build(
