@@ -26,7 +26,7 @@ _TABLES = ("rollout", "baselines", "head", "register", "horizon", "data", "arm")
 _TASKS = {"PickCube": "evaluate_pick_cube", "StackCube": "evaluate_stack_cube"}
 _PAPER = {"PickCube": "0.009 m and 0.86", "StackCube": "0.014 m and 0.83"}
 _PLANNED = ("pick_cube", "stack_cube")
-_MODES = ("closed loop", "open loop")
+_PLAN_MODES = ("closed loop", "open loop")
 _INTRO = """# Results
 
 Written by `python docs/generate_results.py` from the JSON files in `benchmarks/results`, each of which holds its
@@ -172,7 +172,7 @@ def _planned() -> str:
     """Success of the shipped checkpoint in each task, by mode."""
     rows, sources = [], []
     for task in _PLANNED:
-        for mode in _MODES:
+        for mode in _PLAN_MODES:
             name = f"plan_{task}_{mode.split()[0]}"
             result = _read(name)
             if result is not None:
@@ -181,8 +181,8 @@ def _planned() -> str:
     if not rows:
         return ""
     about = _paragraph(
-        "MPPI with the default settings, executed in the simulator, at most 100 steps. In closed loop the planner looks",
-        "at every step, in open loop at the first scene alone.",
+        "MPPI with the default settings, executed in the simulator, at most 100 steps. In closed loop the planner",
+        "looks at every step, in open loop at the first scene alone.",
     )
     told = "\n".join(sources)
     return f"## Planning\n\n{told}\n{about}\n{_grid(['task', 'mode', *_HEAD], rows)}"
