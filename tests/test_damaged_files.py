@@ -24,7 +24,7 @@ TASK = get_task("PickCube")
 LAYOUT = TASK.layout.truncate(6)
 ENTITIES = len(LAYOUT)
 RNG = np.random.default_rng(0)
-ROUNDS = 200  # of each kind of file
+ROUNDS = 60  # of each kind of file
 SWAPS = (None, True, -1, 10**30, 0.5, "", "a", "\ud800", [], {}, [[]], {"a": [1]}, "x" * 1000)
 """What a value may become; none is a size that would be allocated."""
 

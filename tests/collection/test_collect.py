@@ -68,7 +68,7 @@ def test_two_workers_collect_what_one_does(data_config, data_folder, tmp_path):
 
 def test_a_killed_run_resumes_to_the_same_data(data_config, data_folder, tmp_path):
     out = tmp_path / "killed"
-    options = f"--episodes 8 --held-out 0 --shard 2 --workers 1 --out {out}".split()
+    options = f"--episodes 8 --held-out 1 --shard 2 --workers 1 --out {out}".split()
     run = subprocess.Popen(
         [sys.executable, "-m", "pwm_gym", "collect", *options], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
     )
