@@ -20,9 +20,11 @@ __all__ = [
     "disturbance",
     "finger_blocking",
     "grasped",
+    "held",
     "misalignment",
     "near",
     "place",
+    "placed",
     "premature_close",
     "reach",
     "settle",
@@ -57,15 +59,27 @@ def reach(name: str) -> Term:
     return term
 
 
+def held(name: str) -> Term:
+    """Bool (B,): the contact rule of a grasp anywhere on an object, :func:`pwm_gym.costs.contacts.stopped`."""
+    return lambda points, info: contacts.stopped(points, info["velocity"], info["action"], name)
+
+
 def grasped(name: str) -> Term:
-    """1 where the fingers were stopped by a part of the object."""
-    return lambda points, info: contacts.stopped(points, info["velocity"], info["action"], name).float()
+    """1 where the object is held."""
+    rule = held(name)
+    return lambda points, info: rule(points, info).float()
 
 
 def place(name: str, target: Place) -> Term:
     """Nearness of the grasped object to a place."""
-    held, distance = grasped(name), _distance(name, target)
-    return lambda points, info: held(points, info) * (1.0 - torch.tanh(5.0 * distance(points, info)))
+    grip, distance = grasped(name), _distance(name, target)
+    return lambda points, info: grip(points, info) * (1.0 - torch.tanh(5.0 * distance(points, info)))
+
+
+def placed(name: str, reached: Term) -> Term:
+    """1 where the object is grasped and the rule ``reached`` holds."""
+    grip = grasped(name)
+    return lambda points, info: grip(points, info) * reached(points, info)
 
 
 def still(arm: JointSpeeds, reached: Term) -> Term:

@@ -38,7 +38,10 @@ class Prop:
         """Its surface."""
         import trimesh
 
-        make = {"box": lambda: trimesh.creation.box(self.size), "cylinder": lambda: trimesh.creation.cylinder(*self.size)}
+        make = {
+            "box": lambda: trimesh.creation.box(self.size),
+            "cylinder": lambda: trimesh.creation.cylinder(*self.size),
+        }
         return make[self.kind]()
 
 

@@ -19,14 +19,14 @@ from pwm_gym.tasks.registry import Task, register_task
 
 __all__ = ["PICK_YCB", "PickYcbExpert"]
 
-_GOAL_RADIUS = 0.025  # metres: ManiSkill's threshold for the object's distance from the goal
-_STATIC = 0.2  # rad/s: ManiSkill's threshold for the arm's fastest joint
+_GOAL_RADIUS, _STATIC = 0.025, 0.2  # metres and rad/s: ManiSkill's thresholds of success
 _SETS = ("seen", "unseen", "liftable", "unseen_liftable", "all")
 _LAYOUT = layout({"object": 300})
 _OBJECT = _LAYOUT.index("object")
 
 _at_goal = objects.near("object", terms.goal_position, _GOAL_RADIUS)
 register_grasp("pick_ycb")(terms.near_and_shut("object"))
+register_grasp("pick_ycb_contact")(objects.held("object"))  # of long objects, which are held far from their centre
 
 
 @register_success("pick_ycb")
@@ -35,17 +35,10 @@ def _success(points: Points, info: terms.Info) -> Tensor:
     return _at_goal(points, info) & (joint_speed(points, info, JOINT_SPEEDS) <= _STATIC)
 
 
-_held = objects.grasped("object")
-
-
-def _placed(points: Points, info: terms.Info) -> Tensor:
-    """1 where the object is held at the goal."""
-    return _held(points, info) * _at_goal(points, info)
-
-
+_placed = objects.placed("object", _at_goal)
 _REWARDS = {
     "reaching": objects.reach("object"),
-    "contact": _held,
+    "contact": objects.grasped("object"),
     "placing": objects.place("object", terms.goal_position),
     "placed": _placed,
     "static": objects.still(JOINT_SPEEDS, _placed),
@@ -73,10 +66,9 @@ register_terms(
 
 @dataclass(frozen=True)
 class PickYcbExpert:
-    """Grasp the episode's object where its shape is known to be held, then carry it to the goal."""
+    """Grasp the episode's object as is known to hold it, then carry it to the goal."""
 
-    grasps: Callable[[str], ObjectGrasps]
-    """Object's name -> its grasps."""
+    grasps: Callable[[str], ObjectGrasps]  # of an object, by its name
     speed: float
 
     @classmethod
@@ -97,9 +89,8 @@ def _simulator(objects: str | Sequence[str] = _SETS[0]) -> Simulator:
     from pwm_gym.assets import ObjectChoice, available_assets, select_objects, use_assets
     from pwm_gym.sim.maniskill import ManiSkillSimulator
 
-    folder = available_assets()
+    use_assets(folder := available_assets())
     choice = ObjectChoice(folder, select_objects(folder, objects))
-    use_assets(folder)
     return ManiSkillSimulator(
         "PickSingleYCB-v1",
         {**PANDA.links, "object": choice.actor},
