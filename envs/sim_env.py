@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 from typing import TYPE_CHECKING, Any
@@ -21,6 +21,7 @@ from pwm_gym.envs.common import (
     action_space,
     check_actions,
     check_render_mode,
+    first_entities,
     last_action,
     observation_space,
     observe,
@@ -28,7 +29,7 @@ from pwm_gym.envs.common import (
 from pwm_gym.envs.observation_models import OBSERVATIONS, Bodies, CameraConfig
 from pwm_gym.envs.rendering import SceneRenderer
 from pwm_gym.errors import PwmGymError, SceneError, unknown_name
-from pwm_gym.scene import Entity, Layout, RigidState, Scene, batch_state, sample_surface
+from pwm_gym.scene import Entity, Layout, RigidState, Scene, State, batch_state, sample_surface
 from pwm_gym.seeds import RANGES
 from pwm_gym.sim import SimOutcome, Simulator
 from pwm_gym.tasks import Task, get_task
@@ -92,7 +93,8 @@ class SimEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
     ## Starting state
     The simulator's initial distribution; `reset(seed=s)` is the simulator's episode of seed s. A scene with
     joint positions (`env.unwrapped.scene(truth=True)` of this environment) starts there with
-    `reset(options={"scene": scene})`.
+    `reset(options={"scene": scene})`, also with further free entities (clutter) after the task's own, which the
+    "complete" observation leaves out; `env.unwrapped.scene(truth=True)` has them.
 
     ## Episode end
     The simulator's own success terminates; `gym.make` adds the time limit.
@@ -106,7 +108,8 @@ class SimEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
     * `task`: registered task. * `cost`: a registered cost or a callable. * `grasp`: a registered grasp rule.
     * `observation`: "complete", "completed" or "partial". * `camera`: viewpoint, sensor and completer of the
     last two: a `pwm_gym.envs.CameraConfig`, its fields as a dict, or a viewpoint's name.
-    * `points`: points of a scene in all. * `render_mode`: None or "rgb_array".
+    * `points`: points of a scene in all. * `objects`: what episodes draw their objects from, where they differ: one of
+    the task's `object_sets`, an object's name, or names. * `render_mode`: None or "rgb_array".
 
     ## Version history
     * v0: initial release.
@@ -123,8 +126,9 @@ class SimEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
         points: int | None = None,
         render_mode: str | None = None,
         camera: CameraConfig | Mapping[str, Any] | str | None = None,
+        objects: str | Sequence[str] | None = None,
     ) -> None:
-        EzPickle.__init__(self, task, cost, grasp, observation, points, render_mode, camera)
+        EzPickle.__init__(self, task, cost, grasp, observation, points, render_mode, camera, objects)
         if observation not in OBSERVATIONS:  # before a simulator is made
             raise unknown_name("observation", observation, OBSERVATIONS)
         self.task, self.render_mode = get_task(task), check_render_mode(render_mode, self.metadata["render_modes"])
@@ -133,7 +137,8 @@ class SimEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
         self.action_space = action_space(self.task.action_size)
         self.observation_space = observation_space(self.layout, self.task.goal_size)
         self._observation = build_observation_model(observation, self.task, self.layout, CameraConfig.of(camera))
-        self.simulator: Simulator = self.task.simulator()
+        self._all_seen = observation == "complete"
+        self.simulator: Simulator = self.task.make_simulator(objects)
         self._clouds = AssetClouds(self.task, self.layout)
         self._scene: Scene | None = None  # that the episode began with
         self._now: Scene | None = None
@@ -153,9 +158,9 @@ class SimEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
         return batch_state([self.scene(truth=True)])
 
     @property
-    def observed_state(self) -> RigidState:
-        """The state (1,) that observations are of."""
-        return batch_state([self.scene()])
+    def observed_state(self) -> State:
+        """The state (1,) of the task's entities that observations are of."""
+        return first_entities(batch_state([self.scene()]), self.layout)
 
     @property
     def goal(self) -> Tensor:
@@ -206,17 +211,19 @@ class SimEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
 
     def _bodies(self) -> Bodies:
         """What the present episode's entities look like."""
-        assets, meshes = tuple(self.simulator.assets()), cache(self.simulator.meshes)
+        assets, meshes = tuple(self.simulator.assets())[: len(self.layout)], cache(self.simulator.meshes)
         return Bodies(assets, self._clouds(assets, meshes), meshes)
 
     def _start_from(self, scene: Scene) -> Bodies:
         if not isinstance(scene, Scene):
             raise PwmGymError(f"scene is a {type(scene).__name__}; expected pwm_gym.Scene")
-        scene = scene.validate(self.task.name, self.layout, self.task.goal_size).coarsen(self.layout)
+        further = scene.layout.entities[len(self.layout) :]
+        scene.validate(self.task.name, self.layout, self.task.goal_size, extra=self._all_seen)
+        scene = scene.coarsen(self.layout.plus(further))
         action = last_action(scene, self.task.control)
         self.simulator.restore(scene)
         bodies = self._bodies()
-        self._scene, self._action = replace(scene, assets=bodies.assets), action
+        self._scene, self._action = replace(scene, assets=tuple(self.simulator.assets())), action
         self._poses = deque(scene.poses, maxlen=3)
         return bodies
 
@@ -246,7 +253,7 @@ class SimEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
         return self.rules.judge(self.state, torch.as_tensor(self._action)[None], self.goal)
 
     def _observe(self) -> dict[str, np.ndarray]:
-        return {k: v[0].numpy() for k, v in observe(batch_state([self.scene()]), self.goal).items()}
+        return {k: v[0].numpy() for k, v in observe(self.observed_state, self.goal).items()}
 
     def _info(self, judgement: Judgement, outcome: SimOutcome) -> dict[str, Any]:
         return {
@@ -263,9 +270,9 @@ class SimEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
         """A picture (H, W, 3) uint8 with ``render_mode="rgb_array"``."""
         if self.render_mode is None:
             return None
-        if self._renderer is None:
-            self._renderer = SceneRenderer(self.layout, "true")
         state = self.state
+        if self._renderer is None or self._renderer.layout != state.layout:
+            self._renderer = SceneRenderer(state.layout, "true")
         return self._renderer(state.points()[0].numpy(), self.goal[0].numpy())
 
     def close(self) -> None:

@@ -42,6 +42,9 @@ class CollectConfig:
 
     task: str = "PickCube"
     """Registered task."""
+    objects: str = ""
+    """What episodes draw their objects from, where they differ: one of the task's sets, such as "liftable", or an
+    object's name; the task's default if not given."""
     out: Path | None = None
     """Folder of the data set; None takes ``data-sets/`` and the task's name. A run that was killed goes on where it
     was."""
@@ -123,6 +126,8 @@ def _check_complete(folder: Path, jobs: list[_Job]) -> None:
 
 def _write_header(config: CollectConfig, task: Task) -> None:
     settings = {k: v for k, v in asdict(config).items() if k not in ("out", "workers", "episodes", "held_out")}
+    if not config.objects:
+        del settings["objects"]
     header = {
         "format": FORMAT,
         "schema": SCHEMA,
@@ -177,14 +182,15 @@ def _one_thread() -> None:
     torch.set_num_threads(1)
 
 
-_SIMULATORS: dict[str, Simulator] = {}  # one a process and task: making one takes seconds
+_SIMULATORS: dict[tuple[str, str], Simulator] = {}  # one a process, task and set of objects: making one takes seconds
 
 
 def _collect_shard(job: _Job) -> int:
     task = get_task(job.config.task)
-    if task.name not in _SIMULATORS:
-        _SIMULATORS[task.name] = task.simulator()
-    simulator = _SIMULATORS[task.name]
+    key = (task.name, job.config.objects)
+    if key not in _SIMULATORS:
+        _SIMULATORS[key] = task.make_simulator(job.config.objects or None)
+    simulator = _SIMULATORS[key]
 
     longest = round(_PATIENCE * task.expert_steps)
     limits = {"demonstration": longest, "practice": _PRACTICE_STEPS, "on_policy": _PLANNED_STEPS}

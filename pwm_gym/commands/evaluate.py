@@ -264,6 +264,10 @@ class Evaluate:
         influence = table["influence"]
         print(f"{task.name} among distractors, {table['episodes']} scenes: predictions change by (mm)")
         print(f"  {influence['own_mm']}; distractors move by {influence['distractors_mm']}")
+        planning = table["planning"]
+        print(
+            f"  planning succeeds in {planning['successes']}, distractors pushed by {planning['distractors_pushed_mm']}"
+        )
         return table
 
 

@@ -39,6 +39,9 @@ class Plan:
     """Rounds of sampling an action."""
     chunk: int = 1
     """Actions between two looks: 1 is closed loop, 0 looks at the first scene alone (open loop)."""
+    objects: str = ""
+    """What episodes draw their objects from, where they differ: one of the task's sets, such as "unseen", or an
+    object's name; the task's default if not given."""
     observation: str = "complete"
     """What the agent sees: complete clouds, "partial" ones, or ones "completed" from a camera's depth."""
     completer: str = "default"
@@ -87,7 +90,7 @@ class Plan:
         agent = Agent(model, self.task, config, cost=cost, penalties=penalties, caution=self.caution)
         camera = CameraConfig(sensor=self.sensor, completer=self.completer)
         twin = f"pwm/{self.task}Sim-v0"
-        settings: dict[str, Any] = {"observation": self.observation, "camera": camera}
+        settings: dict[str, Any] = {"observation": self.observation, "camera": camera, "objects": self.objects or None}
         with gym.make(twin, max_episode_steps=self.max_steps, **settings) as env:
             runs = run_episodes(env, agent, seeds, self.max_steps, self.chunk)
         table = planning_table(runs)
@@ -95,7 +98,7 @@ class Plan:
         if self.save is not None:
             save_runs(runs, self.save)
         if self.json is not None:
-            names = ("planner", "chunk", "seeds", "observation", "completer", "sensor", "cost")
+            names = ("planner", "chunk", "seeds", "objects", "observation", "completer", "sensor", "cost")
             facts = {"settings": asdict(config), **{name: getattr(self, name) for name in names}}
             write_results(self.json, {**facts, **table})
 

@@ -11,18 +11,22 @@ from torch import Tensor
 
 __all__ = [
     "centre",
+    "corridor_gaps",
     "crushed",
     "finger_gaps",
     "fingers_apart",
     "firmness",
+    "middle",
     "near_and_shut",
     "once",
     "opening",
     "outside_fingers",
     "pad_gaps",
     "pinched",
+    "stopped",
     "tool_centre",
     "tool_distance",
+    "width_across",
     "width_between",
 ]
 
@@ -36,6 +40,7 @@ _CLOSE = 0.025  # the paper's grasp distance
 _DEEPEST, _LOOSEST, _PRESSED = -0.008, 0.001, -0.0005
 _PAD_HALF_WIDTH, _PAD_END = 0.014, 0.012  # of the fingers' pads: to either side of the tool centre, and beyond it
 _HELD = 0.036  # how far from an object's centre its corner can be held
+_SPARSE, _STOPPED = 0.005, 0.0005  # metres, and metres a step: of a grasp on an object whose points lie far apart
 _HALF_SHUT = 0.2  # a gripper commanded below this shuts on an object of 4 cm
 _SUNK = 0.010  # metres by which a pad may overlap the object's extent and still count as pressing on it
 _BETWEEN = 0.013  # metres from tool to centre within which the object is between the finger tips
@@ -68,6 +73,12 @@ def centre(points: Points, name: str) -> Tensor:
 
 
 @once
+def middle(points: Points, name: str) -> Tensor:
+    """Middle (B, 3) of an entity's extents along the axes: nearer to the origin of most meshes than their centre."""
+    return 0.5 * (points[name].amin(-2) + points[name].amax(-2))
+
+
+@once
 def tool_centre(points: Points) -> Tensor:
     """Point (B, 3) between the finger tips: on the line from the hand's centre through the fingers' centre."""
     fingers = 0.5 * (centre(points, "left_gripper") + centre(points, "right_gripper"))
@@ -91,15 +102,48 @@ def pad_gaps(points: Points, name: str) -> Tensor:
 
     Huge where no part is.
     """
+    tool = tool_centre(points)
+    offset = points[name] - tool.unsqueeze(-2)
+    reached = _along(offset, _forward(points)) <= _PAD_END
+    lowest, highest = _extent(points, name, tool, reached)
+    return _gaps(points, _fingers_axis(points), lowest, highest)
+
+
+@once
+def corridor_gaps(points: Points, name: str) -> Tensor:
+    """Gaps (B, 2) as :func:`pad_gaps`, to whatever of the object the pads would meet at any height."""
+    lowest, highest = _extent(points, name, tool_centre(points))
+    return _gaps(points, _fingers_axis(points), lowest, highest)
+
+
+def width_across(points: Points, name: str, place: Tensor) -> Tensor:
+    """Width (B,) along the fingers' axis of what the pads would span if the tool were at ``place`` (B, 3)."""
+    lowest, highest = _extent(points, name, place)
+    return (highest - lowest).clamp_min(0.0)
+
+
+def _forward(points: Points) -> Tensor:
+    """Unit vector (B, 3, 1) from the hand to the finger tips."""
+    forward = tool_centre(points) - centre(points, "hand")
+    return (forward / forward.norm(dim=-1, keepdim=True).clamp_min(1e-6)).unsqueeze(-1)
+
+
+def _extent(points: Points, name: str, place: Tensor, chosen: Tensor | None = None) -> tuple[Tensor, Tensor]:
+    """How far (B,), (B,) the object reaches along the fingers' axis beside a tool at ``place`` (B, 3).
+
+    Args:
+        points: clouds.
+        name: the object.
+        place: of the tool.
+        chosen: bool (B, n), which of the object's points may count.
+    """
     axis = _fingers_axis(points)
-    tool, object_points = tool_centre(points), points[name]
-    forward = tool - centre(points, "hand")
-    forward = (forward / forward.norm(dim=-1, keepdim=True).clamp_min(1e-6)).unsqueeze(-1)
-    sideways = torch.cross(axis, forward, dim=-2)
-    offset = object_points - tool.unsqueeze(-2)
-    between = (_along(offset, sideways).abs() <= _PAD_HALF_WIDTH) & (_along(offset, forward) <= _PAD_END)
-    along = _along(object_points, axis)
-    return _gaps(points, axis, along.where(between, 1e3).amin(-1), along.where(between, -1e3).amax(-1))
+    sideways = torch.cross(axis, _forward(points), dim=-2)
+    counts = _along(points[name] - place.unsqueeze(-2), sideways).abs() <= _PAD_HALF_WIDTH
+    if chosen is not None:
+        counts = counts & chosen
+    along = _along(points[name], axis)
+    return along.where(counts, 1e3).amin(-1), along.where(counts, -1e3).amax(-1)
 
 
 def _gaps(points: Points, axis: Tensor, lowest: Tensor, highest: Tensor) -> Tensor:
@@ -138,6 +182,22 @@ def pinched(points: Points, action: Tensor, name: str) -> Tensor:
     touching = ((gaps >= _DEEPEST) & (gaps <= _LOOSEST)).all(-1) & (gaps.sum(-1) <= _PRESSED)
     near = (tool_centre(points) - centre(points, name)).norm(dim=-1) <= _HELD
     return touching & near & (action[..., -1] < _HALF_SHUT)
+
+
+def stopped(points: Points, velocity: Points, action: Tensor, name: str) -> Tensor:
+    """Bool (B,): a shutting gripper whose fingers no longer close, with a part of the object between its pads.
+
+    As :func:`pinched` for an object of any shape, whose sides few points tell to a millimetre, held anywhere.
+    """
+    between = (pad_gaps(points, name) <= _SPARSE).all(-1)
+    closing = _closing(points, velocity).abs() <= _STOPPED
+    return between & closing & (action[..., -1] < _HALF_SHUT)
+
+
+def _closing(points: Points, velocity: Points) -> Tensor:
+    """How much (B,) nearer the fingers have come to each other in the last step, metres."""
+    apart = velocity["left_gripper"].mean(-2) - velocity["right_gripper"].mean(-2)
+    return -(apart.unsqueeze(-2) @ _fingers_axis(points)).flatten(-2).squeeze(-1)
 
 
 @once

@@ -39,12 +39,19 @@ def angular_velocity(points: Points, velocity: Points, name: str) -> Tensor:
     return torch.linalg.solve(inertia + 1e-9 * eye, momentum)
 
 
-def joint_speed(points: Points, info: Mapping[str, Any], arm: JointSpeeds) -> Tensor:
-    """Speed (B,) in rad/s of the arm's fastest joint; where joints are not known, as the hand's motion tells it."""
+def joint_speed(points: Points, info: Mapping[str, Any], arm: JointSpeeds, order: float = torch.inf) -> Tensor:
+    """Speed (B,) in rad/s of the arm's joints; where joints are not known, as the hand's motion tells it.
+
+    Args:
+        points: clouds.
+        info: what costs read.
+        arm: what tells joint speeds from the hand's motion.
+        order: of the norm over the joints: infinite for the fastest one.
+    """
     rate = 1.0 / arm.period
     joints = info.get("joints")
     if joints is not None:
-        return rate * joints[..., 1, : arm.joints].abs().amax(-1)
+        return rate * torch.linalg.vector_norm(joints[..., 1, : arm.joints], ord=order, dim=-1)
     position = centre(points, "hand")
     velocity = rate * centre(info["velocity"], "hand")
     radius = position[..., :2].norm(dim=-1).clamp_min(1e-3)
@@ -54,4 +61,5 @@ def joint_speed(points: Points, info: Mapping[str, Any], arm: JointSpeeds) -> Te
     bending = torch.stack([radial, velocity[..., 2]], -1) @ velocity.new_tensor(arm.bending).T
     base = sideways / radius
     wrist = rate * spin(points, info["velocity"], "hand") - base
-    return arm.averaged * torch.stack([bending.abs().amax(-1), base.abs(), wrist.abs()]).amax(0)
+    turns = torch.cat([bending, base.unsqueeze(-1), wrist.unsqueeze(-1)], -1)
+    return arm.averaged * torch.linalg.vector_norm(turns, ord=order, dim=-1)

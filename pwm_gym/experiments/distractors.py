@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from contextlib import closing
+from dataclasses import replace
 from typing import Any, Protocol
 
 import numpy as np
 import torch
-import trimesh
 
 from pwm_gym.dynamics.checkpoint import Checkpoint
 from pwm_gym.dynamics.model import WorldModel, rollout
@@ -18,6 +18,7 @@ from pwm_gym.planning import Agent
 from pwm_gym.scene import Scene, batch_state, sample_surface
 from pwm_gym.scene.layout import Entity
 from pwm_gym.sim import SimOutcome
+from pwm_gym.sim.props import Prop, get_prop
 from pwm_gym.tasks import Task
 
 __all__ = [
@@ -36,32 +37,8 @@ _AREA = (-0.15, 0.15)  # metres from the object's centre, in x and y
 _TRIES = 1000
 
 
-@dataclass(frozen=True)
-class Distractor:
-    """A primitive shape that stands on the table."""
-
-    name: str
-    mesh: Callable[[], trimesh.Trimesh]
-    radius: float
-    """Of its bounding circle seen from above, metres."""
-    height: float
-    """Of its centre above the table, metres."""
-
-
-def _box(x: float, y: float, z: float) -> Callable[[], trimesh.Trimesh]:
-    return lambda: trimesh.creation.box((x, y, z))
-
-
-def _cylinder(radius: float, height: float) -> Callable[[], trimesh.Trimesh]:
-    return lambda: trimesh.creation.cylinder(radius, height)
-
-
-DISTRACTORS: tuple[Distractor, ...] = (
-    Distractor("distractor_block", _box(0.03, 0.03, 0.05), 0.0213, 0.025),
-    Distractor("distractor_can", _cylinder(0.018, 0.06), 0.018, 0.03),
-    Distractor("distractor_tile", _box(0.05, 0.03, 0.02), 0.0292, 0.01),
-    Distractor("distractor_puck", _cylinder(0.022, 0.015), 0.022, 0.0075),
-    Distractor("distractor_cube", _box(0.035, 0.035, 0.035), 0.0248, 0.0175),
+DISTRACTORS: tuple[Prop, ...] = tuple(
+    get_prop(f"distractor_{name}") for name in ("block", "can", "tile", "puck", "cube")
 )
 """Five shapes of the size of what a gripper holds."""
 
@@ -83,7 +60,12 @@ class SceneWorld(Protocol):
 
 
 def run_distractor_table(
-    checkpoint: Checkpoint, task: Task, episodes: int = 50, horizon: int = 30, world: SceneWorld | None = None
+    checkpoint: Checkpoint,
+    task: Task,
+    episodes: int = 50,
+    horizon: int = 30,
+    plan: bool = True,
+    world: SceneWorld | None = None,
 ) -> dict[str, Any]:
     """A checkpoint among five distractors, two of them within 8 cm of the task's first object.
 
@@ -92,7 +74,8 @@ def run_distractor_table(
         task: registered task.
         episodes: scenes.
         horizon: steps of the rollouts by which the influence on predictions is measured.
-        world: simulator that holds further bodies; None plans none.
+        plan: whether to plan among them, too.
+        world: simulator that holds further bodies, to plan in; None makes the task's own.
 
     Returns:
         "influence", as of :func:`distractor_influence` under uniformly random actions; "planning", as of
@@ -102,11 +85,17 @@ def run_distractor_table(
     plain = [bank.scene(k % len(bank)) for k in range(episodes)]
     cluttered = [add_distractors(scene, task.objects[0], k) for k, scene in enumerate(plain)]
     actions = np.random.default_rng(0).uniform(-1.0, 1.0, (episodes, horizon, task.action_size))
-    planning = None
-    if world is not None:
-        planning = plan_among_distractors(Agent(checkpoint.model, task.name), cluttered, world, task.max_episode_steps)
+    planning = _plan(checkpoint, task, cluttered, world) if plan else None
     influence = distractor_influence(checkpoint.model, plain, cluttered, actions)
     return {"episodes": episodes, "horizon": horizon, "influence": influence, "planning": planning}
+
+
+def _plan(checkpoint: Checkpoint, task: Task, scenes: Sequence[Scene], world: SceneWorld | None) -> dict[str, Any]:
+    agent = Agent(checkpoint.model, task.name)
+    if world is not None:
+        return plan_among_distractors(agent, scenes, world, task.max_episode_steps)
+    with closing(task.make_simulator()) as simulator:
+        return plan_among_distractors(agent, scenes, simulator, task.max_episode_steps)
 
 
 def add_distractors(scene: Scene, around: str, seed: int, count: int = 5, near: int = 2, table: float = 0.0) -> Scene:
@@ -133,7 +122,7 @@ def add_distractors(scene: Scene, around: str, seed: int, count: int = 5, near: 
         place = _place(rng, middle, taken, thing.radius, _NEAR if number < near else np.inf)
         taken.append((place, thing.radius))
         turn = rng.uniform(0.0, 2.0 * np.pi)
-        pose = np.array([*place, table + thing.height, np.cos(turn / 2), 0.0, 0.0, np.sin(turn / 2)])
+        pose = np.array([*place, table + thing.half_height, np.cos(turn / 2), 0.0, 0.0, np.sin(turn / 2)])
         poses.append(np.repeat(pose[None, None], 3, 0))
         clouds.append(sample_surface(thing.mesh(), _POINTS, number).astype(np.float32))
         entities.append(Entity(thing.name, 0, _POINTS))

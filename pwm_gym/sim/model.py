@@ -60,7 +60,7 @@ class SimulatorModel:
         """States (H,) after each of the actions (H, A) from ``state`` without a batch."""
         poses, joints = pose7_from_matrix(state.frames.double()).numpy(), state.joints
         assert joints is not None
-        scene = Scene(self._task, self.layout, state.clouds.numpy(), poses, self._goal, joints.numpy())
+        scene = Scene(self._task, state.layout, state.clouds.numpy(), poses, self._goal, joints.numpy())
         self._simulator.restore(scene, rebuild=False)
         future: list[State] = []
         for action in actions:

@@ -41,6 +41,8 @@ class Simulator(Protocol):
     def restore(self, scene: Scene, rebuild: bool = True) -> None:
         """Start from ``scene``: its poses, velocities, joints and goal.
 
+        What else is free in the scene after the task's own entities is built, too, where the simulator can do so.
+
         Args:
             scene: to start from.
             rebuild: whether the future may depend on ``scene`` alone, in the last digit, too; it takes longer.

@@ -9,13 +9,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-import trimesh
 from scipy.spatial.transform import Rotation
 
 from pwm_gym.errors import PwmGymError
 from pwm_gym.robots.gripper import PANDA, Gripper
+
+if TYPE_CHECKING:
+    import trimesh
 
 __all__ = ["Grasp", "ObjectGrasps", "find_grasps"]
 
@@ -106,6 +109,8 @@ def find_grasps(
     Raises:
         PwmGymError: there are no pieces.
     """
+    import trimesh
+
     if not pieces:
         raise PwmGymError("cannot grasp an object of 0 pieces; expected at least one")
     found = [grasp for up in _resting(pieces) for grasp in _from_above(pieces, up, gripper, count, seed)]
@@ -117,6 +122,8 @@ def find_grasps(
 
 def _resting(pieces: list[trimesh.Trimesh]) -> list[np.ndarray]:
     """Directions (3,) of the canonical frame that may point up: its z axis, and others in which the object rests."""
+    import trimesh
+
     hull = trimesh.util.concatenate(pieces).convex_hull
     poses, chances = trimesh.poses.compute_stable_poses(hull, center_mass=_centre(pieces), sigma=0.0, n_samples=1)
     directions = [np.array([0.0, 0.0, 1.0])]
@@ -156,6 +163,8 @@ def _upright(up: np.ndarray) -> Rotation:
 
 def _rest(pieces: list[trimesh.Trimesh], turn: Rotation, seed: int) -> tuple[_Object, float]:
     """The object turned and put on the table, and how far below the origin its lowest point was."""
+    import trimesh
+
     whole = trimesh.util.concatenate(pieces)
     points, faces = trimesh.sample.sample_surface(whole, _SAMPLES, seed=seed)
     points = turn.apply(points)

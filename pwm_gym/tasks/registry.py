@@ -8,7 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
-from pwm_gym.errors import look_up
+from pwm_gym.errors import PwmGymError, look_up
 from pwm_gym.robots import Control, Robot
 from pwm_gym.scene import Layout
 from pwm_gym.sim import Simulator
@@ -38,7 +38,8 @@ class Task:
     robot: Robot
     layout: Layout
     """The robot's links first, then the task's own entities."""
-    simulator: Callable[[], Simulator]
+    simulator: Callable[..., Simulator]
+    """Makes a simulator; it takes ``objects`` where the task has :attr:`object_sets`."""
     expert: Callable[[np.random.Generator], Expert]
     cost: str
     """Registered cost that ports the simulator's own shaped reward."""
@@ -52,6 +53,9 @@ class Task:
     """G; 0 where the task has no goal beside its objects."""
     expert_steps: int = 66
     """Mean length of the expert's episodes."""
+    object_sets: tuple[str, ...] = ()
+    """Names of sets that an episode's objects can be drawn from, the default first; none where they are always the
+    same."""
     cloud_seed: int = 0
     max_episode_steps: int = 100
 
@@ -64,6 +68,22 @@ class Task:
     def action_size(self) -> int:
         """A."""
         return self.control.size
+
+    def make_simulator(self, objects: str | Sequence[str] | None = None) -> Simulator:
+        """A simulator of the task.
+
+        Args:
+            objects: what episodes draw their objects from: one of :attr:`object_sets`, an object's name, or names; None
+                for the task's default.
+
+        Raises:
+            PwmGymError: the task's objects are always the same, or some that were asked for are not there.
+        """
+        if objects is None:
+            return self.simulator()
+        if not self.object_sets:
+            raise PwmGymError(f"objects={objects!r}; the objects of {self.name} are always the same")
+        return self.simulator(objects=objects)
 
     @property
     def objects(self) -> tuple[str, ...]:

@@ -10,7 +10,7 @@ from gymnasium.utils.env_checker import check_env
 
 from pwm_gym.envs import ModelEnv, ModelVectorEnv, SimEnv
 from pwm_gym.envs.camera_models import carried_objects
-from pwm_gym.errors import PwmGymError, SceneError
+from pwm_gym.errors import PwmGymError, SceneError, UnknownNameError
 from pwm_gym.planning import Agent, MPPIConfig, Run, execute
 from pwm_gym.scene import Layout, RigidState, sample_surface
 from pwm_gym.tasks import get_task
@@ -249,11 +249,10 @@ def test_further_entities_are_free(env, scene, clutter):
         env.reset(options={"scene": replace(crowded, layout=layout)})
 
 
-def test_the_simulator_takes_no_further_entities(toy, clutter):
-    sim = SimEnv("Toy")
+def test_the_simulator_takes_further_entities_of_known_shapes(sim, clutter):
     sim.reset(seed=0)
-    with pytest.raises(SceneError, match="the scene's entities are"):
-        sim.reset(options={"scene": clutter(sim.scene(), "bowl")})
+    with pytest.raises(UnknownNameError, match="unknown prop 'distractor_cub'.*Did you mean 'distractor_cube'"):
+        sim.reset(options={"scene": clutter(sim.unwrapped.scene(), "distractor_cub")})
 
 
 def test_an_agent_plans_around_further_entities(env, scene, clutter, sliding):

@@ -14,6 +14,8 @@ from pwm_gym.scene import Scene
 from pwm_gym.sim.maniskill.headless import allow_headless
 from pwm_gym.sim.maniskill.meshes import collision_mesh
 from pwm_gym.sim.maniskill.poses import compose, pose7, relative, rotation
+from pwm_gym.sim.maniskill.props import SceneProps
+from pwm_gym.sim.props import Prop, get_prop
 from pwm_gym.sim.protocol import SimOutcome
 
 __all__ = ["AssetChoice", "ManiSkillSimulator"]
@@ -75,6 +77,7 @@ class ManiSkillSimulator:
         self._goal_name = goal
         self._grasp_name = grasped
         self._asset_choice = assets
+        self._props = SceneProps(self._base)
         self.action_size = int(np.prod(self.env.action_space.shape))
         if control is not None:
             self._check_control(control)
@@ -97,6 +100,7 @@ class ManiSkillSimulator:
         actors = self._base.scene.actors
         known = {**actors, **links}
         self._structs = {name: self._find(body, known) for name, body in self._bodies.items()}
+        self._structs.update(self._props.actors)
         self._entities = {name: _entity(struct) for name, struct in self._structs.items()}
         self._links = {name for name, body in self._bodies.items() if isinstance(body, str) and body in links}
         self._goal = None if self._goal_name is None else self._find(self._goal_name, actors)._objs[0]
@@ -108,8 +112,11 @@ class ManiSkillSimulator:
             raise unknown_name(f"body of {self._task}", body, known)
         return known[body]
 
-    def _rebuild(self, seed: int, assets: Mapping[str, str] | None = None) -> None:
+    def _rebuild(
+        self, seed: int, assets: Mapping[str, str] | None = None, props: Mapping[str, Prop] | None = None
+    ) -> None:
         """Build the scene anew: PhysX orders contacts by what happened before, which ends in millimetres."""
+        self._props.wanted = dict(props or {})
         if self._asset_choice is not None:
             self._asset_choice.force(self._base, assets)
         self.env.reset(seed=seed, options={"reconfigure": True})
@@ -121,7 +128,8 @@ class ManiSkillSimulator:
 
     def assets(self) -> tuple[str, ...]:
         """Name of each entity's asset in this episode (E,)."""
-        chosen = {} if self._asset_choice is None else self._asset_choice.names(self._base)
+        chosen = {} if self._asset_choice is None else dict(self._asset_choice.names(self._base))
+        chosen.update({name: prop.name for name, prop in self._props.wanted.items()})
         return tuple(chosen.get(name, name) for name in self._entities)
 
     # Where episodes start -----------------------------------------------------------------------------------------
@@ -136,18 +144,25 @@ class ManiSkillSimulator:
         The controller starts from there, as after a reset: what it was asked for before is not part of a scene. A
         scene that names no assets is of those of the present episode.
 
+        Free entities after the task's own are further bodies: their assets (or else their names) are those of
+        :data:`pwm_gym.sim.props.PROPS`.
+
         Args:
             scene: to start from.
             rebuild: whether to build the simulator's scene anew (0.1 s), so that nothing of before is left; done in
-                any case where the assets differ.
+                any case where the assets or the further bodies differ.
 
         Raises:
             SceneError: the scene has no joint positions, those of another robot, or entities that the task lacks.
+            UnknownNameError: a further body of an unknown shape.
         """
         joints = self._check_scene(scene)
-        assets = scene.assets or self.assets()
-        if rebuild or assets != self.assets():
-            self._rebuild(0, dict(zip(self._entities, assets, strict=True)))
+        names, own = scene.layout.names, len(self._bodies)
+        further = names[own:]
+        assets = scene.assets or (*self.assets()[:own], *further)
+        props = {name: get_prop(asset) for name, asset in zip(further, assets[own:], strict=True)}
+        if rebuild or assets != self.assets() or names != tuple(self._entities):
+            self._rebuild(0, dict(zip(self._bodies, assets[:own], strict=True)), props)
         self._set_robot(joints)
         if self._goal is not None:
             self._set_goal(scene.goal)
@@ -163,8 +178,11 @@ class ManiSkillSimulator:
         count = self._robot.max_dof
         if scene.joints.shape[-1] != count:
             raise SceneError(f"scene.joints has {scene.joints.shape[-1]} joints; the simulator's robot has {count}")
-        if scene.layout.names != tuple(self._entities):
-            raise SceneError(f"the scene's entities are {scene.layout.names}; expected {tuple(self._entities)}")
+        own = tuple(self._bodies)
+        if scene.layout.names[: len(own)] != own:
+            raise SceneError(f"the scene's entities are {scene.layout.names}; expected {own}")
+        if bound := [e.name for e in scene.layout.entities[len(own) :] if not e.loose]:
+            raise SceneError(f"the scene's further entities {', '.join(bound)} are not free; expected free ones alone")
         return scene.joints
 
     def _set_robot(self, joints: np.ndarray) -> None:

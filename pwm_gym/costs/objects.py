@@ -1,0 +1,200 @@
+"""Shared terms for objects of any shape, which may be held far from their centre; used as :mod:`.terms` is.
+
+An object's place is the middle of its extents, which stands in for the origin that a simulator's goals are given for.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from pwm_gym.costs import contacts
+from pwm_gym.costs.contacts import Points
+from pwm_gym.costs.motion import joint_speed, speed
+from pwm_gym.costs.terms import Info, Place, Term
+from pwm_gym.robots.speeds import JointSpeeds
+
+__all__ = [
+    "approach",
+    "carry",
+    "disturbance",
+    "finger_blocking",
+    "grasped",
+    "held",
+    "misalignment",
+    "near",
+    "place",
+    "placed",
+    "premature_close",
+    "reach",
+    "settle",
+    "still",
+]
+
+_FINGER_LENGTH = 0.03  # metres below an object's top where the tool can hold it with the hand above it
+_OFF_PLACE = 0.02  # metres between tool and grip place within which the fingers may shut
+_NARROW, _WIDE = 0.03, 0.08  # metres: a width that fits well, and the open Panda gripper's
+
+
+# A simulator's shaped rewards -------------------------------------------------------------------------------------
+
+
+def _distance(name: str, target: Place) -> Term:
+    """Distance (B,) from the object's middle to a place."""
+    return lambda points, info: (contacts.middle(points, name) - target(points, info)).norm(dim=-1)
+
+
+def near(name: str, target: Place, radius: float) -> Term:
+    """Bool (B,): the object's middle is within ``radius`` metres of a place."""
+    distance = _distance(name, target)
+    return lambda points, info: distance(points, info) <= radius
+
+
+def reach(name: str) -> Term:
+    """Nearness of the tool to the object's middle."""
+
+    def term(points: Points, info: Info) -> Tensor:
+        return 1.0 - torch.tanh(5.0 * (contacts.middle(points, name) - contacts.tool_centre(points)).norm(dim=-1))
+
+    return term
+
+
+def held(name: str) -> Term:
+    """Bool (B,): the contact rule of a grasp anywhere on an object, :func:`pwm_gym.costs.contacts.stopped`."""
+    return lambda points, info: contacts.stopped(points, info["velocity"], info["action"], name)
+
+
+def grasped(name: str) -> Term:
+    """1 where the object is held."""
+    rule = held(name)
+    return lambda points, info: rule(points, info).float()
+
+
+def place(name: str, target: Place) -> Term:
+    """Nearness of the grasped object to a place."""
+    grip, distance = grasped(name), _distance(name, target)
+    return lambda points, info: grip(points, info) * (1.0 - torch.tanh(5.0 * distance(points, info)))
+
+
+def placed(name: str, reached: Term) -> Term:
+    """1 where the object is grasped and the rule ``reached`` holds."""
+    grip = grasped(name)
+    return lambda points, info: grip(points, info) * reached(points, info)
+
+
+def still(arm: JointSpeeds, reached: Term) -> Term:
+    """Slowness of all the arm's joints together where the rule ``reached`` holds."""
+
+    def term(points: Points, info: Info) -> Tensor:
+        return (1.0 - torch.tanh(5.0 * joint_speed(points, info, arm, order=2))) * reached(points, info)
+
+    return term
+
+
+# The planners' cost: a grasp that cannot be fooled ----------------------------------------------------------------
+
+
+@contacts.once
+def _grip_place(points: Points, name: str) -> Tensor:
+    """Where (B, 3) the tool would hold the object: at its centre, or not far below the top of a tall one."""
+    centre = contacts.centre(points, name)
+    height = torch.maximum(centre[..., 2], points[name][..., 2].amax(-1) - _FINGER_LENGTH)
+    return torch.cat([centre[..., :2], height.unsqueeze(-1)], -1)
+
+
+@contacts.once
+def _off_place(points: Points, name: str) -> Tensor:
+    """Distance (B,) from the tool to the grip place."""
+    return (contacts.tool_centre(points) - _grip_place(points, name)).norm(dim=-1)
+
+
+@contacts.once
+def _outside(points: Points, name: str) -> Tensor:
+    """Soft bool (B,): the tool is not yet where the fingers may shut."""
+    return torch.sigmoid((_off_place(points, name) - _OFF_PLACE) / 0.003)
+
+
+@contacts.once
+def _pressing(points: Points, name: str) -> Tensor:
+    """Soft bool (B,): both pads touch what is between them, and neither is deep in it."""
+    gaps = contacts.pad_gaps(points, name)
+    return torch.sigmoid((0.003 - gaps.amax(-1)) / 0.001) * torch.sigmoid((gaps.amin(-1) + 0.010) / 0.001)
+
+
+def _firmness(points: Points, info: Info, name: str) -> Tensor:
+    """Soft bool (B,): a shutting gripper holds the object."""
+    return _pressing(points, name) * (info["action"][..., -1] < 0)
+
+
+def approach(name: str) -> Term:
+    """Distance from the tool to the place where it would hold the object, sharper when near."""
+
+    def term(points: Points, info: Info) -> Tensor:
+        distance = _off_place(points, name)
+        return 5.0 * distance + torch.tanh(distance / 0.02)
+
+    return term
+
+
+def premature_close(name: str) -> Term:
+    """Shut before the object is between the fingers."""
+
+    def term(points: Points, info: Info) -> Tensor:
+        shut = (info["action"][..., -1] < 0) * (1 - _pressing(points, name))
+        return shut * _outside(points, name)
+
+    return term
+
+
+def finger_blocking(name: str) -> Term:
+    """Fingers at the object's height over or in it: coming down, they would push it."""
+
+    def term(points: Points, info: Info) -> Tensor:
+        height = contacts.tool_centre(points)[..., 2] - _grip_place(points, name)[..., 2]
+        depth = ((0.05 - height) / 0.05).clamp(0, 1)
+        blocked = torch.sigmoid((0.002 - contacts.corridor_gaps(points, name).amin(-1)) / 0.002)
+        return blocked * depth * _outside(points, name)
+
+    return term
+
+
+def misalignment(name: str) -> Term:
+    """Width that the fingers have to span at the grip place: 0 up to 3 cm, 1 where it is the open gripper's."""
+
+    def term(points: Points, info: Info) -> Tensor:
+        width = contacts.width_across(points, name, _grip_place(points, name))
+        return ((width - _NARROW) / (_WIDE - _NARROW)).clamp(0, 1.5)
+
+    return term
+
+
+def disturbance(name: str) -> Term:
+    """Speed of an object that is not held, in units of 5 mm a step: it is being pushed, or it falls."""
+
+    def term(points: Points, info: Info) -> Tensor:
+        pushed = (speed(info["velocity"], name) / 0.005).clamp_max(4.0)
+        return pushed * (1 - _firmness(points, info, name))
+
+    return term
+
+
+def carry(name: str, target: Place) -> Term:
+    """Nearness of the object to a place, which counts once the grasp is firm: up to 4."""
+    distance = _distance(name, target)
+
+    def term(points: Points, info: Info) -> Tensor:
+        way = distance(points, info)
+        return _firmness(points, info, name) * (4.0 - 8.0 * way.clamp_max(0.4) - torch.tanh(way / 0.03))
+
+    return term
+
+
+def settle(name: str, target: Place, arm: JointSpeeds, limit: float) -> Term:
+    """Speed of the arm's fastest joint, in units of ``limit`` rad/s, where the object is near its place."""
+    distance = _distance(name, target)
+
+    def term(points: Points, info: Info) -> Tensor:
+        close = torch.sigmoid((0.015 - distance(points, info)) / 0.003)
+        return close * (joint_speed(points, info, arm) / limit).clamp_max(3.0)
+
+    return term
