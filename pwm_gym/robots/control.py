@@ -23,6 +23,9 @@ class SerialArm:
 
     Its controller takes a change of the tool's present pose in the base's frame, solves inverse kinematics for it and
     drives the joints there; where there is no solution the joints stay.
+
+    Raises:
+        PwmGymError: it has no joint, or limits or a rest of another number.
     """
 
     origins: tuple[Pose7, ...]
@@ -37,6 +40,12 @@ class SerialArm:
     upper: tuple[float, ...]
     rest: tuple[float, ...]
     """Usual joint angles: where inverse kinematics begins when a scene does not tell them."""
+
+    def __post_init__(self) -> None:
+        """Check that each joint has limits and a rest."""
+        counts = [len(self.origins), len(self.lower), len(self.upper), len(self.rest)]
+        if counts != [counts[0]] * 4 or not counts[0]:
+            raise PwmGymError(f"an arm has {counts} origins, lower limits, upper limits and rests; expected as many")
 
     @property
     def joints(self) -> int:
@@ -127,6 +136,8 @@ class Control:
             if len({*values}) < len(values):
                 raise PwmGymError(f"two arms have the same {what}: {', '.join(values)}")
         for arm in self.arms:
+            if arm.first_joint < 0:
+                raise PwmGymError(f"arm {arm.name!r} has joints from {arm.first_joint}; expected 0 or more")
             joints = {*range(arm.joints.start, arm.joints.stop)}
             if joints & taken:
                 raise PwmGymError(f"arm {arm.name!r} shares joints {sorted(joints & taken)} with another arm")
@@ -183,10 +194,10 @@ def _upgraded(values: Any) -> Any:
     """The present JSON form of a control of version 0.1, which drove one Panda; anything else as it is."""
     if not isinstance(values, dict) or "vectors" not in values:
         return values
-    chain = values.get("arm")
-    if not isinstance(chain, dict):
+    if not isinstance(values.get("arm"), dict):
         return {"channels": []}
-    units = {"translation": chain.pop("position_unit", None), "rotation": chain.pop("rotation_unit", None)}
+    chain = dict(values["arm"])
+    units = {"translation": chain.get("position_unit"), "rotation": chain.get("rotation_unit")}
     vectors = [
         {"kind": kind, "start": 3 * k, "stop": 3 * k + 3, "unit": unit, "arm": "arm"}
         for k, (kind, unit) in enumerate(units.items())

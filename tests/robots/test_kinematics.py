@@ -1,12 +1,12 @@
 import pytest
 import torch
 
-from pwm_gym.robots import ArmKinematics, Control
+from pwm_gym.robots import ArmKinematics
 from pwm_gym.scene.se3 import motion_vector, rotation_from_vector
 from pwm_gym.tasks import get_task
 
 CONTROL = get_task("PickCube").control
-ARM = CONTROL.arm
+ARM = CONTROL.arms[0].chain
 
 
 @pytest.fixture
@@ -71,15 +71,15 @@ def test_tells_by_how_much_a_goal_out_of_reach_is_missed(kinematics):
     assert (miss > 0.5).all()
 
 
-def test_an_action_asks_for_a_change_of_the_tools_pose(kinematics):
-    joints = angles(4)
-    action = torch.zeros(4, 7)
-    torch.testing.assert_close(kinematics.target(kinematics(joints), action), kinematics(joints), atol=1e-6, rtol=0)
-    action[:, 0] = 0.5
-    moved = kinematics.target(kinematics(joints), action) - kinematics(joints)
+def test_a_target_is_a_change_of_the_tools_pose(kinematics):
+    joints, still = angles(4), torch.zeros(4, 3)
+    hand = kinematics(joints)
+    torch.testing.assert_close(kinematics.target(hand, still, still), hand, atol=1e-6, rtol=0)
+    torch.testing.assert_close(kinematics.target(hand, still, None), hand, atol=1e-6, rtol=0)
+    moved = kinematics.target(hand, torch.tensor([[0.05, 0, 0]]).expand(4, 3), None) - hand
     torch.testing.assert_close(moved[:, :3, 3], torch.tensor([[0.05, 0, 0]]).expand(4, 3), atol=1e-6, rtol=0)
-    action[:, 0], action[:, 3:6] = 0.0, torch.tensor([3.0, 0.0, 4.0])  # longer than 1: clipped
-    before, after = kinematics(joints), kinematics.target(kinematics(joints), action)
+    assert moved[:, :3, :3].abs().max() < 1e-6
+    before, after = hand, kinematics.target(hand, still, torch.tensor([[-0.06, 0.0, -0.08]]).expand(4, 3))
     turn = after[:, :3, :3] @ before[:, :3, :3].transpose(1, 2)
     expected = rotation_from_vector(torch.tensor([-0.06, 0, 0])) @ rotation_from_vector(torch.tensor([0, 0, -0.08]))
     torch.testing.assert_close(turn, expected.expand(4, 3, 3), atol=1e-6, rtol=0)
@@ -98,11 +98,3 @@ def test_leading_dimensions_and_gradients(kinematics):
     turn = motion_vector(root[..., :3, :3] @ root[..., :3, :3].transpose(-1, -2))
     assert turn.abs().max() < 1e-6
     assert torch.equal(kinematics.limit(torch.full((7,), 9.0)), kinematics.upper)
-
-
-def test_a_control_is_plain_json():
-    import json
-
-    assert Control.from_json(json.loads(json.dumps(CONTROL.to_json()))) == CONTROL
-    bare = Control(vectors=((0, 3),))
-    assert Control.from_json(json.loads(json.dumps(bare.to_json()))) == bare

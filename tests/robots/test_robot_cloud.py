@@ -10,7 +10,7 @@ from pwm_gym.scene import Scene
 from pwm_gym.scene.se3 import matrix_from_pose7
 from pwm_gym.tasks import get_task
 
-BODIES, CONTROL = PANDA.links, PANDA.control
+BODIES, ARM = PANDA.links, PANDA.control.arms[0].chain
 
 TASK = get_task("PickCube")
 URDF = """<?xml version="1.0" ?>
@@ -79,7 +79,7 @@ def panda_urdf():
 def configurations(count, seed=0):
     """Joint positions (count, 9) within the Panda's limits; both fingers open, each by itself."""
     generator = np.random.default_rng(seed)
-    arm = generator.uniform(CONTROL.arm.lower, CONTROL.arm.upper, (count, 7))
+    arm = generator.uniform(ARM.lower, ARM.upper, (count, 7))
     return np.concatenate([arm, generator.uniform(0, 0.04, (count, 2))], 1).astype(np.float32)
 
 

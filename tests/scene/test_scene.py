@@ -1,3 +1,4 @@
+import json
 from dataclasses import fields, replace
 
 import numpy as np
@@ -5,7 +6,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pwm_gym.errors import SceneError
-from pwm_gym.scene import Layout, Scene, batch_state
+from pwm_gym.scene import Layout, Scene, Support, batch_state
 
 LAYOUT = Layout.build([("hand", 20), ("cube", 10)], driven=("hand",))
 
@@ -74,8 +75,12 @@ def foreign_pickle(path):
     np.savez(path, header=np.array({"format": "pwm_gym.scene"}, dtype=object))
 
 
+def headerless(path):
+    np.savez(path, header=np.array('{"format": "pwm_gym.scene", "schema": 2}'))
+
+
 def headless_arrays(path):
-    np.savez(path, header=np.array('{"format": "pwm_gym.scene", "task": "x", "layout": []}'))
+    np.savez(path, header=np.array('{"format": "pwm_gym.scene", "schema": 1, "task": "x", "layout": []}'))
 
 
 @pytest.mark.parametrize("write", [foreign_text, foreign_array, foreign_archive, foreign_pickle, headless_arrays])
@@ -89,6 +94,49 @@ def test_another_format_is_refused(tmp_path):
     np.savez(tmp_path / "other.npz", header=np.array('{"format": "pwm_gym.episodes"}'))
     with pytest.raises(SceneError, match=r"format 'pwm_gym\.episodes'; expected 'pwm_gym\.scene'"):
         Scene.load(tmp_path / "other.npz")
+
+
+def test_a_damaged_header_is_named(tmp_path):
+    headerless(tmp_path / "other.npz")
+    with pytest.raises(SceneError, match=r"header of .*other\.npz .*missing required field `task`"):
+        Scene.load(tmp_path / "other.npz")
+
+
+def test_a_newer_schema_is_refused(scene, tmp_path):
+    scene.save(tmp_path / "scene.npz")
+    with np.load(tmp_path / "scene.npz") as file:
+        arrays = dict(file)
+    header = {**json.loads(str(arrays.pop("header"))), "schema": 3}
+    np.savez(tmp_path / "new.npz", header=np.array(json.dumps(header)), **arrays)
+    with pytest.raises(SceneError, match=r"new\.npz has schema 3; this version reads up to 2"):
+        Scene.load(tmp_path / "new.npz")
+
+
+def test_a_scene_of_version_0_1_loads(scene, tmp_path):
+    old = [
+        {"name": e.name, "start": e.start, "stop": e.stop, "effector": e.driven, "slider": None} for e in scene.layout
+    ]
+    header = {"format": "pwm_gym.scene", "schema": 1, "task": scene.task, "layout": old}
+    arrays = {name: getattr(scene, name) for name in ("clouds", "poses", "goal", "joints", "last_action")}
+    np.savez(tmp_path / "old.npz", header=np.array(json.dumps(header)), **arrays)
+    expected = replace(scene, layout=replace(scene.layout, supports=(Support.ground(),)))
+    assert_same(Scene.load(tmp_path / "old.npz"), expected)
+
+
+def test_assets_and_empty_goals_survive(scene, tmp_path):
+    other = replace(scene, goal=np.zeros(0, np.float32), assets=("hand", "red cube"))
+    other.save(tmp_path / "scene.npz")
+    found = Scene.load(tmp_path / "scene.npz")
+    assert_same(found, other)
+    assert found.validate("PickCube", LAYOUT, 0) is found
+    with pytest.raises(SceneError, match="names 1 assets; expected one for each of 2 entities"):
+        replace(found, assets=("cube",)).validate("PickCube", LAYOUT, 0)
+
+
+def test_values_that_are_not_finite_are_not_read(scene, tmp_path):
+    replace(scene, clouds=scene.clouds * np.nan).save(tmp_path / "scene.npz")
+    with pytest.raises(SceneError, match=r"clouds holds 90 values that are not finite"):
+        Scene.load(tmp_path / "scene.npz")
 
 
 def test_a_missing_file_is_missing(tmp_path):
