@@ -90,7 +90,7 @@ def fit(config: FitConfig, training: TrainConfig, validate: Validate, progress: 
     use_device(training.device)
     sources = load_sources(config.folders, "train")
     tasks = [get_task(dataset.task) for dataset in sources]
-    out = config.out or Path("runs") / "-".join(task.name for task in tasks)
+    out = config.out or Path("runs") / "+".join(task.name for task in tasks)
     sources = [_chosen(dataset, config, len(sources)) for dataset in sources]
     held_out = load_sources(config.folders, "validation")
     windows, seen = _windows(config, sources, held_out)
