@@ -88,7 +88,7 @@ def test_every_task_has_both_twins():
 
 
 def test_registering_again_is_harmless():
-    before = {i: gym.spec(i) for i in IDS}
+    before = {i: gym.spec(i) for i in EVERY}
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         pwm_gym.register_envs()
