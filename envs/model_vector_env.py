@@ -105,7 +105,8 @@ class ModelVectorEnv(EzPickle, gym.vector.VectorEnv[dict[str, np.ndarray], np.nd
         self.device, self.max_episode_steps, self._tensors = use_device(device), max_episode_steps, tensors
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
-        self.checkpoint = load_checkpoint(resolve(checkpoint, task))
+        self.checkpoint = load_checkpoint(resolve(checkpoint, task), device)
+        self.checkpoint.check_robot(self.task.layout, self.task.control)
         self.model = self.checkpoint.model
         self.layout = self.task.layout if points is None else self.task.layout.resize(points)
         self.rules = Rules(self.task, cost, grasp)

@@ -67,6 +67,16 @@ class Checkpoint:
     """Task -> initial scenes."""
     folder: Path = Path()
 
+    def check_robot(self, layout: Layout, control: Control) -> None:
+        """Raise :class:`CheckpointError` unless the scenes' robot and the meaning of actions are the model's."""
+        own, other = self.model.links.names, layout.robot().names
+        if {*own} != {*other}:
+            raise CheckpointError(f"{self.folder} is of a robot with {', '.join(own)}; expected {', '.join(other)}")
+        if self.model.action_size != control.size:
+            raise CheckpointError(
+                f"{self.folder} takes actions of {self.model.action_size} components; expected {control.size}"
+            )
+
     def bank(self, task: str) -> SceneBank:
         """Initial scenes of a task.
 

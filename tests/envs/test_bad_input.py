@@ -184,9 +184,9 @@ def test_unknown_names(name, arguments, message):
 
 
 def test_unknown_checkpoint():
-    message = r"unknown checkpoint 'PickCub'; known: PickCube, default. Did you mean 'PickCube'\?"
+    message = r"unknown checkpoint 'pand'; known: default, panda. Did you mean 'panda'\?"
     with pytest.raises(UnknownNameError, match=message):
-        gym.make(ID, checkpoint="PickCub")
+        gym.make(ID, checkpoint="pand")
 
 
 def test_unknown_observation():
@@ -252,9 +252,9 @@ CHECKPOINTS = {
         lambda f: edited(f, format="somebody.else"),
         "config.json has format 'somebody.else'; expected 'pwm_gym.checkpoint'",
     ),
-    "other task": (lambda f: edited(f, task="Juggle"), "checkpoint of task 'Juggle'; expected 'PickCube'"),
+    "version 0.1": (lambda f: edited(f, schema=1), "is of version 0.1, whose weights do not fit; train it again"),
     "no config": (lambda f: (f / "config.json").unlink(), "not a checkpoint: it has no config.json"),
-    "cut config": (lambda f: cut(f / "config.json"), "config.json is truncated or not JSON"),
+    "cut config": (lambda f: cut(f / "config.json"), "config.json is truncated or not valid"),
     "cut weights": (
         lambda f: cut(f / "model.safetensors"),
         "model.safetensors is truncated or not safetensors",
@@ -264,8 +264,7 @@ CHECKPOINTS = {
         lambda f: edited(f, model="paper", config={}),
         "model.safetensors does not fit its config.json",
     ),
-    "cut scenes": (lambda f: cut(f / "scenes.npz"), "scenes.npz is truncated or not a scene bank"),
-    "no scenes": (lambda f: (f / "scenes.npz").unlink(), "scenes.npz is truncated or not a scene bank"),
+    "cut scenes": (lambda f: cut(f / "scenes-PickCube.npz"), "scenes-PickCube.npz is truncated or not a scene bank"),
     "setting": (lambda f: edited(f, config={"widht": 1}), "unknown compact setting 'widht'"),
 }
 
@@ -276,6 +275,26 @@ def test_checkpoints(checkpoint, case):
     gym.make(ID, checkpoint=str(checkpoint))
     damage(checkpoint)
     with pytest.raises(CheckpointError, match=message):
+        gym.make(ID, checkpoint=str(checkpoint))
+
+
+def test_a_checkpoint_without_scenes_of_the_task_starts_from_given_ones(checkpoint, scene):
+    (checkpoint / "scenes-PickCube.npz").unlink()
+    env = gym.make(ID, checkpoint=str(checkpoint))
+    with pytest.raises(CheckpointError, match="has scenes of StackCube; expected 'PickCube', or a scene at reset"):
+        env.reset(seed=0)
+    env.reset(options={"scene": scene})
+
+
+def test_a_checkpoint_of_another_robot(checkpoint):
+    config = json.loads((checkpoint / "config.json").read_text())
+    for link in config["links"]["entities"]:
+        link["name"] = f"other_{link['name']}"
+        if link["joint"]["parent"]:
+            link["joint"]["parent"] = f"other_{link['joint']['parent']}"
+    config["control"]["arms"][0]["hand"] = "other_hand"
+    edited(checkpoint, **config)
+    with pytest.raises(CheckpointError, match="is of a robot with other_hand, .*; expected hand, "):
         gym.make(ID, checkpoint=str(checkpoint))
 
 
