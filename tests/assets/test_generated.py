@@ -1,9 +1,10 @@
 import numpy as np
 import pytest
 
-from pwm_gym.assets import GENERATED_OBJECTS, YCB_OBJECTS, find_grasps, generated_assets, generated_pieces
+from pwm_gym.assets import GENERATED_OBJECTS, YCB_OBJECTS, generated_assets, generated_pieces
 from pwm_gym.cli import main
 from pwm_gym.errors import UnknownNameError
+from pwm_gym.skills.object_grasps import find_grasps
 
 
 def test_names_cannot_be_taken_for_ycbs():
