@@ -1,38 +1,37 @@
+from dataclasses import replace
+
 import pytest
 import torch
-from scipy.spatial.transform import Rotation
 
-from pwm_gym.dynamics.response import EndEffector
 from pwm_gym.scene import RigidState
-from pwm_gym.scene.se3 import make_pose, rotation_from_vector
-from pwm_gym.tasks import get_task
-
-LAYOUT = get_task("PickCube").layout.truncate(24)
 
 
 @pytest.fixture
-def hand_scenes():
+def hand_scenes(worlds):
     """``hand_scenes(batch, moving)``: Panda hands over cubes, with random small motions or at rest."""
+    world = replace(worlds["cube"], points=24)
 
     def make(batch: int = 4, moving: bool = True, seed: int = 0) -> RigidState:
-        generator = torch.Generator().manual_seed(seed)
-
-        def draw(*shape):
-            return torch.rand(batch, *shape, generator=generator) * 2 - 1
-
-        clouds = 0.04 * draw(LAYOUT.points, 3)
-        down = torch.as_tensor(Rotation.from_rotvec([torch.pi, 0, 0]).as_matrix()).float()
-        steps = torch.arange(3).view(1, 3, 1) * (1.0 if moving else 0.0)
-        root = make_pose(
-            rotation_from_vector(0.3 * draw(1, 3) - 0.03 * steps * draw(1, 3)) @ down,
-            torch.tensor([0.6, 0.0, 0.25]) + 0.1 * draw(1, 3) - 0.01 * steps * draw(1, 3),
-        )  # (B, 3, 4, 4), newest first
-        openings = 0.02 + 0.015 * draw(1, 2) - 0.001 * steps * draw(1, 2)
-        cube = make_pose(
-            rotation_from_vector(draw(1, 3) - 0.02 * steps * draw(1, 3)),
-            torch.tensor([0.6, 0.0, 0.1]) + 0.1 * draw(1, 3) - 0.005 * steps * draw(1, 3),
-        )
-        fingers = EndEffector(LAYOUT).links(root, openings)
-        return RigidState(LAYOUT, clouds, torch.cat([root.unsqueeze(2), fingers, cube.unsqueeze(2)], 2))
+        return replace(world.state(batch, moving, seed), joints=None)
 
     return make
+
+
+@pytest.fixture
+def set_gates():
+    """``set_gates(model, ...)``: gates of a compact model's movers at -20 (shut) to 20 (open), whatever it sees."""
+
+    @torch.no_grad()
+    def apply(model, moving=-20.0, flying=-20.0, fall=20.0, links=-20.0, others=-20.0, push=-20.0):
+        movers = model.movers
+        for layer in (movers.query, movers.key, movers.pair[-1]):
+            layer.weight.zero_()
+            layer.bias.zero_()
+        movers.head.weight[:3] = 0.0
+        movers.head.bias[:3] = torch.tensor([moving, flying, fall])
+        movers.link_bias[:, 0] = torch.as_tensor(links)
+        movers.kind_bias[:, 0] = torch.as_tensor(others)
+        movers.link_bias[:, 1], movers.kind_bias[:, 1] = push, push
+        return model
+
+    return apply

@@ -3,264 +3,486 @@ from dataclasses import replace
 import pytest
 import torch
 
-from pwm_gym.dynamics import CompactConfig, CompactModel, WorldModel, rollout
-from pwm_gym.dynamics.compact.contact import FALL, ContactFeatures
-from pwm_gym.dynamics.compact.model import _FLIGHT, _Block, _gate
-from pwm_gym.errors import PwmGymError
-from pwm_gym.robots import Control
-from pwm_gym.scene import Layout, PointState, RigidState
+from pwm_gym.dynamics import CompactModel, WorldModel, build_model, rollout
+from pwm_gym.dynamics.compact.attention import Block
+from pwm_gym.dynamics.compact.movers import _gate
+from pwm_gym.errors import PwmGymError, SceneError
+from pwm_gym.robots.joints import JointTree
+from pwm_gym.scene import FIXED, Joint, Layout, Mimic, PointState, RigidState, Support
 from pwm_gym.scene.se3 import make_pose, rotation_from_vector
 from pwm_gym.tasks import get_task
 
-CONTROL = Control(vectors=((0, 3), (3, 6)))
-SMALL = CompactConfig(points=24, point_width=16, width=32, blocks=2)
+EVERY = [
+    "cube", "drawer", "lid", "four", "unknown arm", "two arms", "pot", "bolted hand", "no arm", "one thing"
+]  # fmt: skip
+GRAVITY = 9.81
+
+
+def steps(model, state, actions):
+    """States after each of the actions (T, B, A)."""
+    state, found = model.prepare(state), []
+    for action in actions:
+        state = model.step(state, action)
+        found.append(state)
+    return found
+
+
+def many_actions(world, count, batch=2):
+    return torch.stack([world.actions(batch, seed=k) for k in range(count)])
+
+
+def at_rest(world, count, batch=2):
+    return torch.zeros(count, batch, world.control.size)
+
+
+def moved(a, b, *names):
+    """Largest difference of the poses of entities called so (all, if none is given) in two states."""
+    places = [a.layout.index(n) for n in names] or slice(None)
+    return float((a.poses() - b.poses())[:, places].abs().max())
+
+
+def on(state, parent, child):
+    """Pose (B, 4, 4) of one entity in another's frame."""
+    names = state.layout.index
+    return torch.linalg.inv(state.poses()[:, names(parent)]) @ state.poses()[:, names(child)]
+
+
+def reordered(state, order):
+    """The same scenes with their entities in the order of ``order``, places in the old layout."""
+    old = state.layout
+    entities = [old.entities[k] for k in order]
+    layout = replace(old, entities=()).plus(entities)
+    return replace(
+        state, layout=layout, clouds=torch.cat([state.clouds[:, e.slice] for e in entities], 1),
+        frames=state.frames[:, :, order],
+    )  # fmt: skip
+
+
+# Scenes of every kind
+
+
+@torch.no_grad()
+@pytest.mark.parametrize("name", EVERY)
+def test_steps_in_every_kind_of_scene(worlds, name):
+    world = worlds[name]
+    model, state = world.model(), world.state()
+    assert isinstance(model, WorldModel)
+    states = steps(model, state, many_actions(world, 30))
+    last = states[-1]
+    assert last.frames.isfinite().all() and last.layout is state.layout
+    rotation = last.poses()[..., :3, :3]
+    torch.testing.assert_close(
+        rotation @ rotation.transpose(-1, -2), torch.eye(3).expand_as(rotation), atol=1e-4, rtol=0
+    )
+    for e in state.layout:
+        still = e.joint.kind == "fixed" and e.joint.parent is None
+        assert (moved(states[0], state, e.name) > 1e-5) != still, e.name  # so that the tests below compare something
+
+
+@torch.no_grad()
+@pytest.mark.parametrize("name", ["cube", "drawer", "lid", "two arms", "pot", "bolted hand", "no arm"])
+def test_what_hangs_on_a_joint_stays_on_it_within_its_limits(worlds, name):
+    world = worlds[name]
+    model, state = world.model(), world.state()
+    layout = state.layout
+    tree = JointTree(layout, [i for i, e in enumerate(layout) if e.joint.moves])
+    spread = []
+    for after in steps(model, state, many_actions(world, 40)):
+        q = tree.positions(after.poses())
+        torch.testing.assert_close(tree.place(after.poses(), q), after.poses(), atol=1e-5, rtol=0)
+        assert (q > tree.lower - 1e-5).all() and (q < tree.upper + 1e-5).all()
+        spread.append(q)
+    assert (torch.stack(spread).std(0) > 1e-4).all()
+
+
+@torch.no_grad()
+def test_what_is_fixed_to_something_goes_with_it(worlds):
+    pairs = {
+        "drawer": [("drawer", "handle")],
+        "lid": [("lid", "knob")],
+        "two arms": [("left_tip", "left_nail"), ("right_tip", "right_nail"), ("drawer", "handle")],
+        "pot": [("pot", "grip")],
+    }
+    for name, on_each_other in pairs.items():
+        world = worlds[name]
+        states = steps(world.model(), world.state(), many_actions(world, 20))
+        for parent, child in on_each_other:
+            assert moved(states[-1], world.state(), child) > 1e-3
+            torch.testing.assert_close(
+                on(states[-1], parent, child), on(world.state(), parent, child), atol=1e-4, rtol=0
+            )
+
+
+@torch.no_grad()
+def test_a_part_that_hangs_on_what_is_fixed_to_a_hand_goes_with_it(worlds, new_body):
+    """A finger on a plate that is screwed to the hand: listed before the plate."""
+    finger = Joint("revolute", "plate", axis=(1.0, 0.0, 0.0), lower=0.2, upper=0.2)
+    plate = Joint("fixed", "hand", (0.0, 0.0, 0.05, 1.0, 0.0, 0.0, 0.0))
+    world = worlds["unknown arm"].plus(
+        plate=new_body((0.02, 0.02, 0.01), joint=plate, driven=True),
+        finger=new_body((0.01, 0.01, 0.02), joint=finger, driven=True),
+    )
+    start = reordered(world.state(), [0, 3, 2, 1])
+    model = build_model("compact", start.layout, world.control, {"width": 16, "points": 4}).eval()
+    model.robot.response.hand_weight.normal_(std=0.02)
+    last = steps(model, start, many_actions(world, 5))[-1]
+    assert moved(last, start, "hand") > 0.01
+    torch.testing.assert_close(on(last, "hand", "finger"), on(start, "hand", "finger"), atol=1e-5, rtol=0)
+
+
+@torch.no_grad()
+def test_joints_of_a_scene_follow_each_other(worlds, new_body):
+    door = Joint("revolute", "box", (0.0, 0.1, 0.06, 1.0, 0.0, 0.0, 0.0), (1.0, 0.0, 0.0), -1.0, 1.0)
+    other = replace(door, origin=(0.0, -0.1, 0.06, 1.0, 0.0, 0.0, 0.0), mimic=Mimic("lid", -1.0, 0.1))
+    world = worlds["lid"].plus(flap=new_body((0.1, 0.05, 0.01), joint=other))
+    state = world.state()
+    tree = JointTree(state.layout, [state.layout.index("lid"), state.layout.index("flap")])
+    seen = []
+    for after in steps(world.model(), state, many_actions(world, 10)):
+        lid, flap = tree.positions(after.poses()).unbind(-1)
+        torch.testing.assert_close(flap, (0.1 - lid).clamp(-1.0, 1.0), atol=1e-5, rtol=0)
+        seen.append(lid)
+    assert torch.stack(seen).std(0).min() > 1e-3
+
+
+# What the parameters belong to
+
+
+@torch.no_grad()
+@pytest.mark.parametrize("name", ["drawer", "two arms", "pot", "no arm"])
+def test_the_order_of_the_entities_does_not_matter(worlds, name):
+    world = worlds[name]
+    model, state, action = world.model(), world.state(), world.actions()
+    order = torch.randperm(len(state.layout), generator=torch.Generator().manual_seed(1)).tolist()
+    mixed = reordered(state, order)
+    expected = model.step(model.prepare(state), action)
+    found = model.step(model.prepare(mixed), action)
+    assert found.layout.names == tuple(state.layout.names[k] for k in order)
+    torch.testing.assert_close(found.poses(), expected.poses()[:, order], atol=1e-5, rtol=0)
+    torch.testing.assert_close(found.error, expected.error[:, order], atol=1e-6, rtol=0)
+
+
+@torch.no_grad()
+def test_names_of_objects_do_not_matter(worlds):
+    state, model, action = worlds["drawer"].state(), worlds["drawer"].model(), worlds["drawer"].actions()
+
+    def renamed(e):
+        if e.driven:
+            return e
+        parent = e.joint.parent and f"other {e.joint.parent}"
+        return replace(e, name=f"other {e.name}", joint=replace(e.joint, parent=parent))
+
+    layout = replace(state.layout, entities=tuple(map(renamed, state.layout)))
+    after = [model.step(model.prepare(s), action) for s in (state, replace(state, layout=layout))]
+    assert torch.equal(after[0].poses(), after[1].poses())
+
+
+@torch.no_grad()
+def test_one_set_of_weights_serves_every_scene_of_its_robot(worlds):
+    first = worlds["cube"].model(seed=3)
+    for name in ("drawer", "lid", "pot"):
+        other = worlds[name].model(seed=4)
+        other.load_state_dict(first.state_dict())
+        state, action = worlds[name].state(), worlds[name].actions()
+        expected = other.step(other.prepare(state), action).poses()
+        assert torch.equal(first.step(first.prepare(state), action).poses(), expected)
+
+
+@torch.no_grad()
+def test_equal_objects_move_alike_wherever_they_are_listed(worlds, new_body):
+    """Two cubes far from all else, one a metre beside the other: no weight knows which is which."""
+    at = (0.6, 3.0, 0.5)
+    world = worlds["no arm"].plus(a=new_body((0.02,) * 3, at, FIXED), b=new_body((0.02,) * 3, at, FIXED))
+    state = world.state(1)
+    free = [replace(e, joint=Joint()) if e.name in "ab" else e for e in state.layout]
+    a, b = state.layout.index("a"), state.layout.index("b")
+    clouds = state.clouds.clone()
+    clouds[:, free[b].slice] = clouds[:, free[a].slice]
+    state = replace(state, layout=replace(state.layout, entities=tuple(free)), clouds=clouds)
+    model = world.model()
+    after = model.step(model.prepare(state), world.actions(1))
+    torch.testing.assert_close(after.poses()[:, a], after.poses()[:, b], atol=1e-6, rtol=0)
+
+
+def test_a_model_of_another_robot_is_refused(worlds):
+    model = worlds["cube"].model()
+    with pytest.raises(SceneError, match=r"robot has palm, finger; expected hand, left_gripper, right_gripper"):
+        model.prepare(worlds["bolted hand"].state())
+    with pytest.raises(SceneError, match="robot has no link; expected hand"):
+        model.prepare(worlds["no arm"].state())
+    state = worlds["cube"].state()
+    wrong = [replace(e, joint=FIXED) if e.name == "left_gripper" else e for e in state.layout]
+    with pytest.raises(SceneError, match=r"joint of 'left_gripper' is fixed on None; the model's is prismatic on hand"):
+        model.prepare(replace(state, layout=replace(state.layout, entities=tuple(wrong))))
+
+
+def test_an_arm_without_its_hand_is_refused(worlds):
+    with pytest.raises(SceneError, match="arm 'arm' has hand 'hand'; the robot's are none"):
+        build_model("compact", worlds["no arm"].layout, worlds["cube"].control)
+
+
+def test_joints_of_another_number_are_refused(worlds):
+    state = worlds["cube"].state()
+    with pytest.raises(SceneError, match=r"the robot has 5 joints; expected 7 at least"):
+        worlds["cube"].model().prepare(replace(state, joints=state.joints[..., :5]))
+
+
+# Symmetries
 
 
 def equivariant(response):
     """Random response weights that turn with the scene: as of a controller that treats x and y alike."""
     generator = torch.Generator().manual_seed(1)
-    weight = torch.zeros_like(response.root_weight)
+    weight = torch.zeros_like(response.hand_weight[0])
     for i in range(0, 18, 3):  # two twists and the action's two vectors
         for j in range(0, 6, 3):
             a, b, c = 0.02 * torch.randn(3, generator=generator)
             weight[i : i + 3, j : j + 3] = torch.tensor([[a, b, 0], [-b, a, 0], [0, 0, c]])
     weight[18, [2, 5]] = 0.01 * torch.randn(2, generator=generator)
-    response.root_weight.copy_(weight)
-    response.slide_weight.normal_(std=0.01, generator=generator)
-    response.slide_weight[6:12] = 0.0  # the arm's command
-    response.reach.copy_(torch.tensor([0.9, 0.0, 1.0]))
-
-
-def model_of(layout, config=SMALL, seed=0):
-    """A model with random weights in its last layer too, so that all of it moves something."""
-    torch.manual_seed(seed)
-    model = CompactModel(layout, 7, CONTROL, config).eval()
-    torch.nn.init.normal_(model.head.weight, std=0.2)
-    torch.nn.init.normal_(model.head.bias, std=0.2)
-    equivariant(model.response)
-    return model
-
-
-@pytest.fixture
-def state(hand_scenes):
-    return hand_scenes(4)
-
-
-@pytest.fixture
-def model(state):
-    return model_of(state.layout)
-
-
-@pytest.fixture
-def action():
-    return torch.rand(4, 7, generator=torch.Generator().manual_seed(2)) * 2 - 1
-
-
-def test_is_a_world_model(model, state, action):
-    assert isinstance(model, WorldModel)
-    states = rollout(model, state, action.unsqueeze(1).expand(-1, 5, -1))
-    assert states.points().shape == (4, 5, state.layout.points, 3)
-    moved = (states.poses()[:, 0] - state.poses())[..., :3, 3].norm(dim=-1)
-    assert (moved > 1e-4).all()  # every entity moves, so that the tests below compare something
+    response.hand_weight.copy_(weight)
+    if len(response.tree):
+        response.joint_weight.normal_(std=0.01, generator=generator)
+        response.joint_weight[6:12] = 0.0  # the arm's command
 
 
 @torch.no_grad()
-@pytest.mark.parametrize("angle", [0.3, 1.7, 3.1])
-def test_turning_the_scene_about_the_vertical_turns_the_prediction(model, state, action, angle):
+@pytest.mark.parametrize("name", ["cube", "drawer", "lid", "pot"])
+@pytest.mark.parametrize("angle", [0.3, 3.1])
+def test_turning_the_scene_about_the_vertical_turns_the_prediction(worlds, name, angle):
+    world = worlds[name]
+    model, state, action = world.model(kinematic=False), world.state(), world.actions()
+    equivariant(model.robot.response)
     turn = make_pose(rotation_from_vector(torch.tensor([0.0, 0.0, angle])), torch.zeros(3))
-    turned = RigidState(state.layout, state.clouds, turn @ state.frames)
-    vectors = (action[:, :6].view(4, 2, 3) @ turn[:3, :3].T).flatten(1)
-    after = model.step(turned, torch.cat([vectors, action[:, 6:]], 1))
-    expected = turn @ model.step(state, action).poses()
-    torch.testing.assert_close(after.poses(), expected, atol=1e-5, rtol=0)
+    turned = replace(state, frames=turn @ state.frames)
+    vectors = (action[:, :6].view(2, 2, 3) @ turn[:3, :3].T).flatten(1)
+    after = model.step(model.prepare(turned), torch.cat([vectors, action[:, 6:]], 1))
+    plain = model.step(model.prepare(state), action)
+    torch.testing.assert_close(after.poses(), turn @ plain.poses(), atol=1e-5, rtol=0)
+    assert moved(plain, state, "hand") > 1e-3
 
 
 @torch.no_grad()
-def test_another_height_or_tilt_is_another_prediction(model, state, action):
+def test_another_height_is_another_prediction(worlds):
     """Gravity and the table: it is no equivariance to every motion."""
+    model, state, action = worlds["cube"].model(kinematic=False), worlds["cube"].state(), worlds["cube"].actions()
     lift = make_pose(torch.eye(3), torch.tensor([0.0, 0.0, 0.05]))
-    lifted = RigidState(state.layout, state.clouds, lift @ state.frames)
-    gap = model.step(lifted, action).poses() - lift @ model.step(state, action).poses()
-    assert gap.abs().max() > 1e-4
+    lifted = model.step(model.prepare(replace(state, frames=lift @ state.frames)), action).poses()
+    assert (lifted - lift @ model.step(model.prepare(state), action).poses()).abs().max() > 1e-4
 
 
 @torch.no_grad()
-def test_the_order_of_an_entitys_points_does_not_matter(model, state, action):
+def test_with_the_ground_it_is_the_same_prediction(worlds):
+    """A scene on a higher table is that scene: heights are told over the ground."""
+    model, state, action = worlds["lid"].model(kinematic=False), worlds["lid"].state(), worlds["lid"].actions()
+    lift = make_pose(torch.eye(3), torch.tensor([0.0, 0.0, 0.25]))
+    layout = replace(state.layout, supports=(Support.ground(0.25),))
+    plain = model.step(model.prepare(state), action)
+    lifted = model.step(model.prepare(replace(state, layout=layout, frames=lift @ state.frames)), action)
+    # What the base's height tells is left; the lid's contacts and joint are the same.
+    gap = (lifted.poses() - lift @ plain.poses())[:, state.layout.index("lid")]
+    assert gap.abs().max() < 0.2 * moved(plain, state, "lid")
+
+
+@torch.no_grad()
+def test_the_order_of_an_entitys_points_does_not_matter(worlds):
+    world = replace(worlds["pot"], points=12)
+    model, state, action = world.model(), world.state(), world.actions()
     generator = torch.Generator().manual_seed(3)
     order = torch.cat([e.start + torch.randperm(e.points, generator=generator) for e in state.layout])
-    shuffled = RigidState(state.layout, state.clouds[:, order], state.frames)
-    torch.testing.assert_close(
-        model.step(shuffled, action).poses(), model.step(state, action).poses(), atol=1e-6, rtol=0
-    )
+    found = [
+        model.step(model.prepare(s), action).poses() for s in (state, replace(state, clouds=state.clouds[:, order]))
+    ]
+    torch.testing.assert_close(found[1], found[0], atol=1e-5, rtol=0)
 
 
 @torch.no_grad()
-def test_a_scene_does_not_depend_on_its_batch(model, state, action):
-    together = model.step(state, action).poses()
+@pytest.mark.parametrize("name", ["cube", "two arms", "pot", "no arm"])
+def test_a_scene_does_not_depend_on_its_batch(worlds, name):
+    model, state, action = worlds[name].model(), worlds[name].state(4), worlds[name].actions(4)
+    start = model.prepare(state)
+    together = model.step(start, action).poses()
     for b in range(4):
-        alone = model.step(state[b : b + 1], action[b : b + 1]).poses()
+        alone = model.step(start[b : b + 1], action[b : b + 1]).poses()
         torch.testing.assert_close(alone, together[b : b + 1], atol=1e-6, rtol=0)
-    again = model.step(state, action).poses()
-    assert torch.equal(again, together)  # and nothing in it is random
+    assert torch.equal(model.step(start, action).poses(), together)  # and nothing in it is random
+    assert model.step(start[:0], action[:0]).frames.shape == (0, *state.frames.shape[1:])
+
+
+# Gates
 
 
 @torch.no_grad()
-def test_an_untrained_model_follows_the_response_and_leaves_the_object_half_attached(state):
-    torch.manual_seed(0)
-    model = CompactModel(state.layout, 7, CONTROL, SMALL)
-    after = model.step(state, torch.zeros(4, 7))
-    torch.testing.assert_close(after.poses()[:, 0], state.poses()[:, 0])  # its response is zero
+@pytest.mark.parametrize("name", EVERY)
+def test_an_untouched_scene_rests_exactly(worlds, set_gates, name):
+    world = worlds[name]
+    model, state = set_gates(world.model(), fall=0.0), world.state(moving=False)
+    for head in (model.robot.slide, *model.robot.heads):  # which a trained model does not use at rest
+        head.weight.zero_()
+        head.bias.zero_()
+    assert moved(steps(model, state, at_rest(world, 50))[-1], state) < 2e-6
 
 
 @torch.no_grad()
-def test_a_resting_hand_rests_under_a_zero_action(model, hand_scenes):
-    start = hand_scenes(4, moving=False)
-    after = model.step(start, torch.zeros(4, 7))
-    hand = start.layout.index("hand")
-    assert (after.poses() - start.poses())[:, hand].abs().max() < 1e-6
-    shut = torch.zeros(4, 7)
-    shut[:, 6] = -1.0  # the gripper's command is no command of the arm
-    model.response.root_weight[18] = 0.0
-    assert (model.step(start, shut).poses() - start.poses())[:, hand].abs().max() < 1e-6
+def test_shut_gates_leave_objects_where_they_are_whatever_the_robot_does(worlds, set_gates):
+    for name in ("drawer", "lid", "two arms", "pot"):
+        world = worlds[name]
+        model, state = set_gates(world.model()), world.state()
+        last = steps(model, state, many_actions(world, 20))[-1]
+        assert moved(last, state, *(e.name for e in state.layout if not e.driven)) < 2e-6
+        assert moved(last, state, state.layout.names[0]) > 1e-3
 
 
 @torch.no_grad()
-def test_shut_gates_leave_an_object_exactly_where_it_is(model, state, action):
-    model.head.bias[[0, 1, _FLIGHT]] = -20.0
-    after = model.step(state, action)
-    cube = state.layout.index("cube")
-    torch.testing.assert_close(after.poses()[:, cube], state.poses()[:, cube], atol=1e-6, rtol=0)
+def test_a_held_object_moves_with_the_hand_exactly(worlds, set_gates):
+    world = worlds["cube"]
+    model, state = set_gates(world.model(), links=[20.0, -20.0, -20.0]), world.state()
+    states = steps(model, state, many_actions(world, 20))
+    assert moved(states[-1], state, "hand") > 0.01
+    for after in states:
+        torch.testing.assert_close(on(after, "hand", "cube"), on(state, "hand", "cube"), atol=5e-6, rtol=0)
 
 
 @torch.no_grad()
-def test_an_attached_object_moves_with_the_hand_exactly(model, state, action):
-    model.head.bias[[0, 1, _FLIGHT]] = torch.tensor([20.0, -20.0, -20.0])
-    hand, cube = state.layout.index("hand"), state.layout.index("cube")
+def test_a_held_pot_takes_all_that_hangs_on_it_along(worlds, set_gates):
+    world = worlds["pot"]
+    model, state = set_gates(world.model(), links=[20.0, -20.0, -20.0]), world.state(moving=False)
+    model.movers.head.bias[3:] = 0.0
+    names = ("pot", "grip", "cover", "stopper")
+    relative = [on(state, "pot", n) for n in names]
+    # The joints' own gates take the hand's way along them; shut them by their limits.
+    locked = [
+        replace(e, joint=replace(e.joint, lower=q, upper=q)) if e.name in ("cover", "stopper") else e
+        for e, q in zip(state.layout, positions(state), strict=True)
+    ]
+    state = replace(state[:1], layout=replace(state.layout, entities=tuple(locked)))
+    last = steps(model, state, many_actions(world, 10, 1))[-1]
+    assert moved(last, state, "pot") > 0.01
+    for name, before in zip(names, relative, strict=True):
+        torch.testing.assert_close(on(last, "pot", name), before[:1], atol=2e-5, rtol=0)
 
-    def held(s):
-        return torch.linalg.inv(s.poses()[:, hand]) @ s.poses()[:, cube]
 
-    for _ in range(20):
-        after = model.step(state, action)
-        torch.testing.assert_close(held(after), held(state), atol=2e-6, rtol=0)
-        state = after
+def positions(state):
+    """Position of each entity's joint in the first scene; 0 where it has none."""
+    tree = JointTree(state.layout, [i for i, e in enumerate(state.layout) if e.joint.moves])
+    found = dict(zip(tree.moving, tree.positions(state.poses())[0].tolist(), strict=True))
+    return [found.get(i, 0.0) for i in range(len(state.layout))]
 
 
 @torch.no_grad()
-def test_an_object_in_free_flight_falls_and_goes_on_turning(model, state, action):
-    model.head.bias[[0, 1, _FLIGHT]] = torch.tensor([-20.0, -20.0, 20.0])
-    cube, steps = state.layout.index("cube"), 4
-    middle = state.clouds[:, state.layout["cube"].slice].mean(1)
+def test_what_lies_in_a_drawer_rides_on_it(worlds, set_gates, new_body):
+    """Articulated parts carry: a hand pulls the drawer, and the cube in it goes along."""
+    world = worlds["drawer"]
+    model, state = set_gates(world.model(), links=-20.0, others=[-20.0, -20.0, 20.0, -20.0]), world.state(moving=False)
+    model.movers.head.bias[3:] = torch.tensor([0.4, 0.0, 0.0, 0.0, 0.0, 0.0])
+    model.movers.head.weight[3:] = 0.0
+    place = state.layout.index("cube")
+    frames = state.frames.clone()
+    frames[:, :, place] = frames[:, :, state.layout.index("drawer")]
+    state = replace(state, frames=frames)
+    model.movers.head.bias[0] = 20.0  # the learned motion slides the drawer by 4 mm a step ...
+    last = steps(model, state, at_rest(world, 3))[-1]
+    slid = (last.poses() - state.poses())[:, state.layout.index("drawer"), :3, 3].norm(dim=-1)
+    torch.testing.assert_close(slid, torch.full((2,), 0.012), atol=1e-4, rtol=0)
+    # ... and the cube by as much, besides its own learned 4 mm in the hand's frame
+    own = last.poses()[:, 0, :3, :3] @ torch.tensor([0.012, 0.0, 0.0])
+    went = (last.poses() - state.poses())[:, place, :3, 3] - own
+    along = (last.poses() - state.poses())[:, state.layout.index("drawer"), :3, 3]
+    torch.testing.assert_close(went, along, atol=1e-4, rtol=0)
+
+
+@torch.no_grad()
+def test_an_object_in_free_flight_falls_and_goes_on_turning(worlds, set_gates):
+    world, count = worlds["cube"], 4
+    model, state = set_gates(world.model(), flying=20.0), world.state()
+    frames = state.frames.clone()
+    frames[:, :, 3, :2, 3] += 1.0  # away from the hand
+    frames[:, :, 3, 2, 3] += 1.0
+    state = replace(state, frames=frames)
+    cube = state.layout["cube"]
+    middle = state.clouds[:, cube.slice][:, : model.config.points].mean(1)
 
     def centre(poses):
-        return (poses[:, cube, :3, :3] @ middle.unsqueeze(-1)).squeeze(-1) + poses[:, cube, :3, 3]
+        return (poses[:, 3, :3, :3] @ middle.unsqueeze(-1)).squeeze(-1) + poses[:, 3, :3, 3]
 
     start, before = (centre(state.frames[:, k]) for k in (0, 1))
-    turn = state.frames[:, 0, cube, :3, :3] @ state.frames[:, 1, cube, :3, :3].transpose(1, 2)
-    rotation = state.frames[:, 0, cube, :3, :3]
-    for _ in range(steps):
-        state = model.step(state, action)
+    rotation = state.frames[:, 0, 3, :3, :3]
+    turn = rotation @ state.frames[:, 1, 3, :3, :3].transpose(1, 2)
+    for _ in range(count):
         rotation = turn @ rotation
-    expected = start + steps * (start - before)
-    expected[:, 2] += FALL * steps * (steps + 1) / 2
-    torch.testing.assert_close(centre(state.poses()), expected, atol=1e-5, rtol=0)
-    torch.testing.assert_close(state.poses()[:, cube, :3, :3], rotation, atol=1e-4, rtol=0)
+    last = steps(model, state, many_actions(world, count))[-1].poses()
+    expected = start + count * (start - before)
+    expected[:, 2] -= GRAVITY * world.control.period**2 * count * (count + 1) / 2
+    torch.testing.assert_close(centre(last), expected, atol=2e-5, rtol=0)
+    torch.testing.assert_close(last[:, 3, :3, :3], rotation, atol=1e-4, rtol=0)
 
 
 @torch.no_grad()
 @pytest.mark.parametrize("creep", [0.0, 1e-7, 1e-5])
-def test_an_object_that_rests_does_not_fall(model, hand_scenes, action, creep):
-    model.head.bias[[0, 1, _FLIGHT]] = torch.tensor([-20.0, -20.0, 20.0])
-    state, start = hand_scenes(moving=False), hand_scenes(moving=False)
-    cube = state.layout.index("cube")
-    state.frames[:, 1:, cube, 2, 3] += creep
-    for _ in range(50):
-        state = model.step(state, action)
-    torch.testing.assert_close(state.poses()[:, cube], start.poses()[:, cube], atol=2e-6, rtol=0)
+def test_what_rests_on_something_does_not_fall(worlds, set_gates, new_body, creep):
+    """Flight gates are open: on the ground, on a fixed box and on another object nothing falls; in mid-air all does."""
+    cube = new_body((0.02, 0.02, 0.02), (0.5, -0.3, 0.02))
+    world = worlds["lid"].only("hand", "left_gripper", "right_gripper", "box").plus(
+        low=replace(cube, at=(0.9, 0.2, 0.02)),
+        above=replace(cube, at=(0.9, 0.2, 0.06)),
+        onbox=replace(cube, at=(0.5, -0.3, 0.12)),
+        high=replace(cube, at=(0.2, 0.6, 0.5)),
+    )  # fmt: skip
+    model, state = set_gates(world.model(), flying=20.0), world.state(1, moving=False, spread=0.0)
+    objects = [state.layout.index(n) for n in ("low", "above", "onbox", "high")]
+    frames = state.frames.clone()
+    frames[:, :, objects, :3, :3] = torch.eye(3)
+    frames[:, 1:, objects, 2, 3] += creep
+    state = replace(state, frames=frames)
+    last = steps(model, state, at_rest(world, 20, 1))[-1]
+    assert moved(last, state, "low", "above", "onbox") < 2e-6
+    first = steps(model, state, at_rest(world, 1, 1))[-1]
+    fallen = (state.poses() - first.poses())[0, state.layout.index("high"), 2, 3]
+    assert fallen == pytest.approx(GRAVITY * world.control.period**2, abs=2e-5)
 
 
-@torch.no_grad()
-def test_free_flight_does_not_depend_on_how_many_points_a_state_has(state, action):
-    model = model_of(state.layout, CompactConfig(points=8, point_width=16, width=32, blocks=1))
-    model.head.bias[[0, 1, _FLIGHT]] = torch.tensor([-20.0, -20.0, 20.0])
-    cube = state.layout.index("cube")
-    full, coarse = (model.step(s, action).poses()[:, cube] for s in (state, state.coarsen(state.layout.truncate(8))))
-    torch.testing.assert_close(coarse, full, atol=1e-6, rtol=0)
-
-
-def test_an_objects_middle_is_of_its_own_points(state):
-    counts = {"hand": 24, "left_gripper": 24, "right_gripper": 24, "cube": 40, "ball": 10}
-    sliders = {e.name: e.slider for e in state.layout if e.slider is not None}
-    layout = Layout.build(list(counts.items()), ["hand", *sliders], sliders)
-    clouds = torch.rand(2, layout.points, 3)
-    frames = torch.eye(4).expand(2, 3, len(layout), 4, 4)
-    middles = model_of(layout, CompactConfig(points=32)).contact.middles(RigidState(layout, clouds, frames))
-    expected = [clouds[:, layout["cube"].slice][:, :32].mean(1), clouds[:, layout["ball"].slice].mean(1)]
-    torch.testing.assert_close(middles, torch.stack(expected, 1))
-
-
-@torch.no_grad()
-def test_a_batch_of_none_is_moved(model, state, action):
-    none = model.step(model.prepare(state)[:0], action[:0])
-    assert none.frames.shape == (0, *state.frames.shape[1:])
-
-
-@torch.no_grad()
-def test_the_order_of_the_entities_does_not_matter(model, state, action):
-    order = [3, 1, 0, 2]  # places of the new entities in the old layout
-    old, count = state.layout, state.layout.entities[0].points
-    entities, slices = [], []
-    for new, k in enumerate(order):
-        e = old.entities[k]
-        entities.append(replace(e, start=new * count, stop=(new + 1) * count))
-        slices.append(state.clouds[:, e.slice])
-    layout = Layout(tuple(entities))
-    other = model_of(layout)
-    weights = {n: v for n, v in model.state_dict().items() if n != "kind"}
-    other.load_state_dict({**weights, "kind": model.kind[order]})
-    moved = RigidState(layout, torch.cat(slices, 1), state.frames[:, :, order])
-    torch.testing.assert_close(
-        other.step(moved, action).poses(), model.step(state, action).poses()[:, order], atol=1e-5, rtol=0
-    )
-
-
-@torch.no_grad()
-def test_contact_features_tell_a_point_inside_a_link_from_one_outside(model, state, action):
-    contact: ContactFeatures = model.contact
+def contacts_of(model, state, action):
     seen = []
-    contact.object.register_forward_pre_hook(lambda _, given: seen.append(given[0]))
-    hand, cube = state.layout.index("hand"), state.layout.index("cube")
-    for shift in (0.0, 1.0):  # the cube's centre at the middle of the hand's box, and a metre above
-        cloud = state.clouds[:, state.layout["hand"].slice][:, : model.config.points]
-        middle = 0.5 * (cloud.amin(1) + cloud.amax(1))
-        frames = state.frames.clone()
-        frames[:, :, cube] = frames[:, :1, hand] @ make_pose(torch.eye(3).expand(4, 3, 3), middle).unsqueeze(1)
-        frames[:, :, cube, 2, 3] += shift
-        model.step(RigidState(state.layout, state.clouds, frames), action)
-    now, soon = 14, 15  # signed distances to the root link's box
-    inside, outside = (x.amin(-2)[:, 0] for x in seen)
-    assert (inside[:, [now, soon]] < -0.5).all() and (outside[:, [now, soon]] > 0.9).all()
+    hook = model.contact.register_forward_hook(lambda module, given, told: seen.append(told))
+    model.step(model.prepare(state), action)
+    hook.remove()
+    return seen[0]
 
 
-def test_heads_mix_as_pytorchs_attention_does():
-    torch.manual_seed(0)
-    block, qkv = _Block(32, 4, 2), torch.randn(5, 6, 96)
-    q, k, v = qkv.unflatten(-1, (3, 4, 8)).permute(2, 0, 3, 1, 4)
-    expected = torch.nn.functional.scaled_dot_product_attention(q, k, v).transpose(1, 2).flatten(2)
-    torch.testing.assert_close(block._mixed(qkv, None), expected)
-    huge = block._mixed(1e4 * qkv, None)
-    assert huge.isfinite().all()
+@torch.no_grad()
+def test_contacts_tell_who_touches_whom_and_the_way_out(worlds, new_body):
+    world = worlds["no arm"].only("cube").plus(table=new_body((0.2, 0.2, 0.05), (0.6, 0.0, 0.3), FIXED))
+    world = replace(world, points=60)
+    model = world.model(points=60)
+    start = world.state(1, moving=False, spread=0.0)
+
+    def at(height):
+        frames = start.frames.clone()
+        frames[:, :, 0] = make_pose(torch.eye(3), torch.tensor([0.6, 0.0, height]))
+        return contacts_of(model, replace(start, frames=frames), world.actions(1))
+
+    inside, touching, apart = at(0.367), at(0.3701), at(0.6)  # the table's top is at 0.35, half the cube is 0.02
+    torch.testing.assert_close(inside.push[0, 0, 1], torch.tensor([0.0, 0.0, 0.003]), atol=1e-6, rtol=0)
+    assert (touching.push == 0).all() and (apart.push == 0).all()
+    assert (inside.push[:, :, 0] == 0).all()  # itself
+    assert inside.unsupported.item() == touching.unsupported.item() == 0.0 and apart.unsupported.item() == 1.0
+    gap, gap_next = 0, 1
+    assert inside.pairs[0, 0, 1, gap_next] < -0.3 < 0.1 > touching.pairs[0, 0, 1, gap].abs()
+    assert apart.pairs[0, 0, 1, gap] > 0.99
 
 
-def test_a_block_asked_for_some_tokens_gives_the_same():
-    torch.manual_seed(0)
-    block, tokens = _Block(32, 4, 2), torch.randn(5, 6, 32)
-    torch.testing.assert_close(block(tokens, read=4), block(tokens)[:, :4])
-
-
-def test_no_blocks_is_a_clear_error(state):
-    with pytest.raises(PwmGymError, match="blocks=0; expected at least 1"):
-        model_of(state.layout, replace(SMALL, blocks=0))
+@torch.no_grad()
+def test_walls_are_touched(worlds, new_body):
+    """A fixed box of the world without points: what it says is what a fixed entity says."""
+    world = worlds["no arm"].only("cube")
+    start = world.state(1, moving=False, spread=0.0)
+    shelf = Support((0.6, 0.0, 0.3, 1.0, 0.0, 0.0, 0.0), (0.2, 0.2, 0.05))
+    model = world.model()
+    for height, expected in ((0.371, 0.0), (0.5, 1.0)):
+        frames = start.frames.clone()
+        frames[:, :, 0] = make_pose(torch.eye(3), torch.tensor([0.6, 0.0, height]))
+        layout = replace(start.layout, supports=(Support.ground(), shelf))
+        state = replace(start, layout=layout, frames=frames)
+        assert contacts_of(model, state, world.actions(1)).unsupported.item() == expected
 
 
 def test_gates_reach_zero_and_one_and_keep_their_gradient():
@@ -272,82 +494,103 @@ def test_gates_reach_zero_and_one_and_keep_their_gradient():
     assert (logit.grad[1:4] > 0.01).all()
 
 
-@torch.no_grad()
-def test_fingers_stay_on_their_sliders_within_the_limits(model, state, action):
-    model.head.weight.normal_(std=2.0, generator=torch.Generator().manual_seed(4))
-    effector = model.response.effector
-    reached = []
-    for _ in range(10):
-        state = model.step(state, action)
-        openings = effector.openings(state.frames)[:, 0]
-        links = effector.links(state.poses()[:, effector.root], openings)
-        torch.testing.assert_close(links, state.poses()[:, effector.sliding], atol=1e-6, rtol=0)
-        assert openings.min() > -1e-6 and openings.max() < 0.04 + 1e-6
-        reached.append(openings)
-    assert torch.cat(reached).max() > 0.039  # the limit was felt
+# Gradients
 
 
-@torch.no_grad()
-def test_poses_stay_rigid(model, state, action):
-    for _ in range(50):
-        state = model.step(state, action)
-    rotation = state.poses()[..., :3, :3]
-    eye = torch.eye(3).expand_as(rotation)
-    torch.testing.assert_close(rotation @ rotation.transpose(-1, -2), eye, atol=1e-4, rtol=0)
-    torch.testing.assert_close(torch.linalg.det(rotation), torch.ones(4, 4), atol=1e-4, rtol=0)
-
-
-def test_gradients_reach_every_parameter(model, state, action):
-    states = rollout(model, state, action.unsqueeze(1).expand(-1, 2, -1))
+@pytest.mark.parametrize("name", ["drawer", "two arms", "pot"])
+def test_gradients_reach_every_parameter(worlds, name):
+    world = worlds[name]
+    model, state = world.model(), world.state()
+    states = rollout(model, state, many_actions(world, 2).transpose(0, 1))
     states.points().square().sum().backward()
     trained = {n: p.grad for n, p in model.named_parameters() if not n.startswith("error.")}
-    assert [n for n, grad in trained.items() if grad is None or not grad.abs().sum() > 0] == []
-    assert all(grad.isfinite().all() for grad in trained.values())
+    unused = {n for n, grad in trained.items() if grad is None or not grad.abs().sum() > 0}
+    if name == "pot":
+        assert unused == set()
+    assert all(grad.isfinite().all() for grad in trained.values() if grad is not None)
     assert all(p.grad is None for p in model.error.parameters())  # it is fitted when the rest is done
 
 
-def test_gradients_reach_the_actions(model, state, action):
-    action.requires_grad_()
-    model.step(state, action).points().sum().backward()
-    assert (action.grad.abs().sum(0) > 0).all()
+@pytest.mark.parametrize("name", ["cube", "four", "two arms", "lid"])
+def test_gradients_reach_the_actions(worlds, name):
+    world = worlds[name]
+    model, state = world.model(), world.state()
+    actions = many_actions(world, 3).requires_grad_()
+    last = steps(model, state, actions)[-1]
+    last.points().square().sum().backward()
+    assert actions.grad.isfinite().all()
+    assert (actions.grad.abs().sum((0, 1)) > 0).all()
 
 
-def test_the_default_is_small(state):
-    count = sum(p.numel() for p in CompactModel(state.layout, 7, get_task("PickCube").control).parameters())
-    assert 0.25e6 < count < 0.265e6  # what docs/models.md says
+# Sizes and settings
+
+
+def test_the_default_is_small():
+    task = get_task("PickCube")
+    count = sum(p.numel() for p in CompactModel(task.layout, task.control).parameters())
+    assert 0.2e6 < count < 0.35e6
+
+
+def test_no_blocks_is_a_clear_error(worlds):
+    with pytest.raises(PwmGymError, match="blocks=0; expected at least 1"):
+        worlds["cube"].model(blocks=0)
 
 
 @torch.no_grad()
-def test_a_coarser_scene_works(model, state, action):
+def test_scenes_of_any_number_of_points_work(worlds):
+    world = worlds["pot"]
+    model, state, action = world.model(), world.state(), world.actions()
     coarse = state.coarsen(state.layout.truncate(5))
-    after = model.step(coarse, action)
-    assert after.points().shape == (4, 20, 3)
-    assert after.layout == coarse.layout
+    after = model.step(model.prepare(coarse), action)
+    assert after.points().shape == (2, 5 * len(state.layout), 3) and after.layout == coarse.layout
+    few = state.coarsen(state.layout.truncate(model.read_points))
+    full = model.step(model.prepare(state), action).poses()
+    torch.testing.assert_close(model.step(model.prepare(few), action).poses(), full, atol=1e-6, rtol=0)
 
 
 @torch.no_grad()
-def test_a_scene_without_objects_works(state, action):
-    alone = Layout(state.layout.entities[:3])
-    hand = RigidState(alone, state.clouds[:, : alone.points], state.frames[:, :, :3])
-    after = model_of(alone).step(hand, action)
-    assert after.points().shape == (4, alone.points, 3)
-    assert (after.poses() - hand.poses()).abs().amax((-1, -2)).min() > 1e-4
+def test_a_robot_alone_works(worlds):
+    world = worlds["two arms"]
+    robot = world.only(*(n for n, b in world.bodies.items() if b.driven))
+    model, state = robot.model(), robot.state()
+    last = steps(model, state, many_actions(robot, 3))[-1]
+    assert moved(last, state) > 1e-3 and last.frames.isfinite().all()
 
 
 @torch.no_grad()
-def test_only_the_first_points_are_read(state, action):
-    model = model_of(state.layout, CompactConfig(points=8, point_width=16, width=32, blocks=1))
-    coarse = state.coarsen(state.layout.truncate(8))
-    hand = state.layout.index("hand")
-    full = model.step(state, action).poses()[:, hand]
-    torch.testing.assert_close(model.step(coarse, action).poses()[:, hand], full, atol=1e-6, rtol=0)
-
-
-@torch.no_grad()
-def test_points_are_registered_to_poses(model, state, action):
+def test_points_are_registered_to_poses(worlds):
+    world = replace(worlds["drawer"], points=40)
+    model, state, action = world.model(), world.state(), world.actions()
+    state = replace(state, joints=None)
     prepared = model.prepare(PointState.of(state))
     assert isinstance(prepared, RigidState)
-    torch.testing.assert_close(
-        model.step(prepared, action).poses(), model.step(state, action).poses(), atol=1e-3, rtol=0
-    )
-    assert torch.equal(model.prepare(state).frames, state.frames)
+    expected = model.step(model.prepare(state), action).poses()
+    torch.testing.assert_close(model.step(prepared, action).poses(), expected, atol=2e-3, rtol=0)
+
+
+@torch.no_grad()
+def test_more_layouts_than_are_remembered_work(worlds):
+    world = worlds["cube"]
+    model, state, action = world.model(), world.state(), world.actions()
+    expected = model.step(model.prepare(state), action).poses()
+    for _ in range(80):
+        copy = replace(state, layout=Layout.from_json(state.layout.to_json()))
+        assert torch.equal(model.step(model.prepare(copy), action).poses(), expected)
+
+
+# Attention
+
+
+def test_heads_mix_as_pytorchs_attention_does():
+    torch.manual_seed(0)
+    block, qkv = Block(32, 4, 2), torch.randn(5, 6, 96)
+    q, k, v = qkv.unflatten(-1, (3, 4, 8)).permute(2, 0, 3, 1, 4)
+    expected = torch.nn.functional.scaled_dot_product_attention(q, k, v).transpose(1, 2).flatten(2)
+    torch.testing.assert_close(block._mixed(qkv, None), expected)
+    assert block._mixed(1e4 * qkv, None).isfinite().all()
+
+
+def test_a_block_asked_for_some_tokens_gives_the_same():
+    torch.manual_seed(0)
+    block, tokens = Block(32, 4, 2), torch.randn(5, 6, 32)
+    torch.testing.assert_close(block(tokens, read=4), block(tokens)[:, :4])
