@@ -198,14 +198,21 @@ def test_damaged_arrays_end_in_a_clear_error(kind, tmp_path):
     assert refused > ROUNDS // 2
 
 
-@pytest.mark.parametrize("name", ["config.json", "model.safetensors", "scenes.npz"])
+@pytest.mark.parametrize("name", ["config.json", "model.safetensors", "scenes-PickCube.npz"])
 def test_a_damaged_checkpoint_ends_in_a_clear_error(name, tmp_path):
     folder = tmp_path / "checkpoint"
-    scene, model = make_scene(), build_model("linear", LAYOUT, 7, TASK.control)
-    bank = SceneBank("PickCube", LAYOUT, scene.clouds, scene.poses.astype(np.float32), np.zeros((3, 3), np.float32))
+    scene, model = make_scene(), build_model("linear", LAYOUT, TASK.control)
+    bank = SceneBank(
+        "PickCube",
+        LAYOUT,
+        scene.clouds[None],
+        scene.poses.astype(np.float32),
+        np.zeros((3, 3), np.float32),
+        np.zeros(3, int),
+    )
     torch.manual_seed(0)
-    save_checkpoint(folder, model, "linear", bank, {"data": {}}, {})
-    load_checkpoint(folder, "PickCube")
+    save_checkpoint(folder, model, "linear", [bank], {"data": {}}, {})
+    load_checkpoint(folder)
     path = folder / name
     whole, damage = path.read_bytes(), damage_npz if name.endswith("npz") else damage_bytes
     if name == "config.json":
@@ -214,7 +221,7 @@ def test_a_damaged_checkpoint_ends_in_a_clear_error(name, tmp_path):
     for number in range(ROUNDS):
         chance = random.Random(f"{name} {number}")
         tell = f"{name}, damage {number}"
-        refused += check(lambda: load_checkpoint(folder, "PickCube"), path, damage(whole, chance), tell)
+        refused += check(lambda: load_checkpoint(folder), path, damage(whole, chance), tell)
     assert refused > ROUNDS // 8
 
 

@@ -93,6 +93,9 @@ class SceneBank:
 
     def _check(self, path: Path) -> None:
         """Raise :class:`CheckpointError` where the arrays do not fit each other."""
+        for name, dims in (("clouds", 3), ("poses", 3), ("goals", 2), ("combination", 1)):
+            if getattr(self, name).ndim != dims:
+                raise CheckpointError(f"{path}: {name} has {getattr(self, name).ndim} dimensions; expected {dims}")
         kinds, count = len(self.clouds), len(self.poses)
         expected = {
             "clouds": (kinds, self.layout.points, 3),

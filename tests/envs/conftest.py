@@ -117,7 +117,7 @@ def toy(monkeypatch):
         grasp="toy",
     )
     monkeypatch.setitem(TASKS, "Toy", task)
-    model = build_model("still", LAYOUT, 24, task.control)
+    model = build_model("still", LAYOUT, task.control)
     checkpoint = SimpleNamespace(model=model, bank=ToyBank())
     monkeypatch.setattr("pwm_gym.envs.model_vector_env.resolve", lambda *_: None)
     monkeypatch.setattr("pwm_gym.envs.model_vector_env.load_checkpoint", lambda *_: checkpoint)

@@ -25,7 +25,7 @@ def test_experts_and_random_actions_take_turns(episodes):
 
 
 def test_curves_are_quartiles_of_the_errors_at_each_step(episodes):
-    curves = error_curves(build_model("still", TASK.layout, 7, Control()), episodes, progress=False)
+    curves = error_curves(build_model("still", TASK.layout, Control()), episodes, progress=False)
     assert curves.steps.tolist() == [10, 20, 30, 40, 50, 60, 66, 70]
     assert curves.chamfer.shape == (3, 8) and set(curves.positions) == {"hand", "cube"}
     assert (np.diff(curves.chamfer, axis=0) >= 0).all()

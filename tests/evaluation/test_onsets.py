@@ -184,7 +184,7 @@ def test_onsets_of_recorded_episodes(train_split):
     task = get_task("PickCube")
     found = find_onsets(train_split)
     assert found and {o.cause for o in found} <= {"pushed by the robot", "released", "unsupported"}
-    out = onset_errors(build_model("still", train_split.layout, 7, Control()), train_split, found)
+    out = onset_errors(build_model("still", train_split.layout, Control()), train_split, found)
     assert out["median"] == pytest.approx(1.0, abs=1e-3) and out["foreseen"] == 0.0
     assert torch.isfinite(torch.tensor(out["median"])) and out["objects"].keys() == {"cube"}
     assert task.layout.names == train_split.layout.names

@@ -67,7 +67,7 @@ def test_the_model_gets_the_actions_that_were_made(dataset):
 def test_the_order_of_the_episodes_is_kept(dataset, cut, monkeypatch):
     """They are rolled out by their length, each batch as far as its longest one."""
     episodes = [cut(e, n) for e, n in zip(dataset.episodes, (9, 5, 12, 7), strict=True)]
-    steps, model = [], build_model("commanded", TASK.layout, TASK.action_size, TASK.control)
+    steps, model = [], build_model("commanded", TASK.layout, TASK.control)
     monkeypatch.setattr(model, "step", lambda *a, step=model.step: steps.append(len(a[1])) or step(*a))
     monkeypatch.setattr("pwm_gym.evaluation.rollouts._CHUNK", 2)
     there, back = (predict(model, replace(dataset, episodes=tuple(e))) for e in (episodes, episodes[::-1]))
@@ -80,7 +80,7 @@ def test_the_order_of_the_episodes_is_kept(dataset, cut, monkeypatch):
 @pytest.mark.parametrize("rigid", [False, True])
 def test_a_model_of_points_begins_with_as_many_as_it_was_trained_to_move(dataset, cut, rigid):
     config = {"width": 8, "neighbours": 3, "points": 6, "rigid": rigid}
-    model = build_model("gbnd", TASK.layout, TASK.action_size, TASK.control, config)
+    model = build_model("gbnd", TASK.layout, TASK.control, config)
     rollouts = predict(model.eval(), replace(dataset, episodes=(cut(dataset.episodes[0], 4),)))
     assert rollouts.states.layout == (dataset.layout if rigid else dataset.layout.truncate(6))
 
@@ -161,15 +161,15 @@ def test_a_model_that_blows_up_is_counted_not_hidden(dataset):
 
 
 def test_validation_metrics_name_kinds_and_entities(dataset):
-    metrics = validation_metrics(build_model("still", dataset.layout, 7, Control()), dataset)
+    metrics = validation_metrics(build_model("still", dataset.layout, Control()), dataset)
     assert set(metrics) == {f"{k}_{e}_mm" for k in ("demonstration", "practice") for e in ("hand", "cube")}
-    rollouts = predict(build_model("still", dataset.layout, 7, Control()), dataset.of_kinds(("practice",)))
+    rollouts = predict(build_model("still", dataset.layout, Control()), dataset.of_kinds(("practice",)))
     expected = 1e3 * position_errors(rollouts, HAND).nanmean().item()
     assert metrics["practice_hand_mm"] == pytest.approx(expected) and expected > 10
 
 
 def test_long_rollouts_of_a_still_world(dataset):
-    out = long_rollouts(build_model("still", dataset.layout, 7, Control()), dataset, steps=5)
+    out = long_rollouts(build_model("still", dataset.layout, Control()), dataset, steps=5)
     assert out["zero_actions_mm"] == {"hand": 0.0, "cube": 0.0}
     assert out["finite"] and 0.5 < out["random_actions_m"] < 1.0 and out["steps"] == 5
 

@@ -21,7 +21,7 @@ TASK = get_task("PickCube")
 
 @pytest.fixture(scope="module")
 def scenes():
-    bank = load_checkpoint(resolve("default", "PickCube"), "PickCube").bank
+    bank = load_checkpoint(resolve("default", "PickCube")).bank("PickCube")
     return [bank.scene(i) for i in range(20)]
 
 
@@ -103,7 +103,7 @@ class World:
 
 @pytest.mark.parametrize(("after", "wins"), [(2, 2), (9, 0)])
 def test_planning_among_distractors_is_counted(scenes, after, wins):
-    model = build_model("still", TASK.layout, 7, TASK.control)
+    model = build_model("still", TASK.layout, TASK.control)
     agent = Agent(model, "PickCube", MPPIConfig(samples=4, elites=2, horizon=2))
     cluttered = [add_distractors(s, "cube", k) for k, s in enumerate(scenes[:2])]
     out = plan_among_distractors(agent, cluttered, World(after), max_steps=4)

@@ -15,11 +15,12 @@ TASK = get_task("PickCube")
 @pytest.fixture
 def folder(train_split, tmp_path):
     """A checkpoint that predicts that nothing moves."""
-    model = build_model("still", TASK.layout, TASK.action_size, TASK.control)
+    model = build_model("still", TASK.layout, TASK.control)
     episode = train_split.episodes[0]
     clouds = train_split.scene(episode).clouds
-    bank = SceneBank("PickCube", TASK.layout, clouds, episode.poses[:1], np.asarray(episode.goal)[None])
-    save_checkpoint(tmp_path / "still", model, "still", bank, {}, {})
+    goals, places = np.asarray(episode.goal)[None], np.zeros(1, int)
+    bank = SceneBank("PickCube", TASK.layout, clouds[None], episode.poses[:1], goals, places)
+    save_checkpoint(tmp_path / "still", model, "still", [bank], {}, {})
     return tmp_path / "still"
 
 

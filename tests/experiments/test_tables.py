@@ -63,7 +63,7 @@ def test_rows_of_a_table_have_one_budget():
 def test_every_row_names_a_model_with_its_settings():
     task = get_task("PickCube")
     for row in (row for table in TABLES.values() for row in table.rows):
-        model = build_model(row.model, task.layout, task.action_size, task.control, dict(row.settings))
+        model = build_model(row.model, task.layout, task.control, dict(row.settings))
         assert {k: getattr(model.config, k) for k in row.settings} == row.settings
         assert getattr(model, "error", None) is None  # nothing that stays unfitted
 

@@ -44,7 +44,7 @@ def look(world):
 def make(world, completer=None, segmenter=None):
     segmenter = segmenter or IdSegmenter(TASK.layout)
     return SceneObserver(
-        "PickCube", TASK.layout, TASK.robot(), segmenter, completer or HullCompleter(), clouds=world[2]
+        "PickCube", TASK.layout, TASK.robot.cloud(), segmenter, completer or HullCompleter(), clouds=world[2]
     )
 
 
@@ -143,7 +143,7 @@ def test_a_first_view_that_does_not_do_is_named(world, look, change, message):
 def test_a_robot_without_a_link_is_named(world):
     layout = Layout.build([("arm", 10), ("cube", 10)], driven=("arm",))
     with pytest.raises(SceneError, match="no cloud of arm; it has hand, left_gripper, right_gripper"):
-        SceneObserver("PickCube", layout, TASK.robot(), IdSegmenter(layout), HullCompleter())
+        SceneObserver("PickCube", layout, TASK.robot.cloud(), IdSegmenter(layout), HullCompleter())
 
 
 @pytest.mark.parametrize("yaw", [-0.7, 0.0, 0.3])

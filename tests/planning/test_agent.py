@@ -33,7 +33,7 @@ def test_it_goes_on_in_the_model_from_where_it_looked(agent, env, scene):
 
 
 def test_it_plans_for_several_scenes_at_once(agent, env):
-    scenes = [env.unwrapped.vector.checkpoint.bank.scene(i) for i in range(3)]
+    scenes = [env.unwrapped.vector.checkpoint.bank("PickCube").scene(i) for i in range(3)]
     plans = agent.plan(scenes)
     assert plans.shape == (3, 4, 7)
     assert agent.plan(scenes[:1]).shape == (1, 4, 7) and agent.plan(scenes[0]).shape == (4, 7)
@@ -46,7 +46,7 @@ def test_it_plans_for_several_scenes_at_once(agent, env):
 def test_scenes_of_a_batch_are_planned_for_each_by_itself(env):
     """Costs of the same actions, together and one by one."""
     agent = Agent(env.unwrapped.model, "PickCube", QUICK)
-    scenes = [env.unwrapped.vector.checkpoint.bank.scene(i) for i in range(3)]
+    scenes = [env.unwrapped.vector.checkpoint.bank("PickCube").scene(i) for i in range(3)]
     goals = torch.as_tensor(np.stack([s.goal for s in scenes]))
     actions = torch.rand(3, 2, 4, 7, generator=torch.Generator().manual_seed(0)) - 0.5
     together = agent.objective.begin(batch_state(scenes), goals)(actions)
@@ -113,7 +113,7 @@ def test_caution_avoids_what_the_model_is_unsure_of(env, scene):
     model = env.unwrapped.model
 
     class Unsure:
-        layout, action_size = model.layout, model.action_size
+        links, action_size = model.links, model.action_size
 
         def prepare(self, state):
             return model.prepare(state)
@@ -147,7 +147,7 @@ def test_without_caution_expected_errors_are_not_worked_out(env, scene, monkeypa
 
 
 def test_caution_needs_a_model_that_tells_its_error(scene):
-    still = build_model("still", TASK.layout, TASK.action_size, TASK.control)
+    still = build_model("still", TASK.layout, TASK.control)
     agent = Agent(still, "PickCube", QUICK, caution=1.0)
     with pytest.raises(PwmGymError, match=r"caution=1.0; .* does not tell its expected error"):
         agent.plan(scene)

@@ -16,9 +16,9 @@ TINY = CompactConfig(points=8, point_width=8, width=16, blocks=1)
 @pytest.fixture(scope="module")
 def model(train_split):
     torch.manual_seed(0)
-    model = CompactModel(TASK.layout, 7, CONTROL, TINY).eval().requires_grad_(False)
-    torch.nn.init.normal_(model.head.weight, std=0.2)
-    model.arm.weight[:7, :7] = 0.4 * torch.eye(7)  # of the way to where the controller drives the joints
+    model = CompactModel(TASK.layout, CONTROL, TINY).eval().requires_grad_(False)
+    torch.nn.init.normal_(model.movers.head.weight, std=0.2)
+    model.robot.arms[0].weight[:7, :7] = 0.4 * torch.eye(7)  # of the way to where the controller drives the joints
     return model
 
 
@@ -69,7 +69,7 @@ def test_models_that_move_points_are_planned_with_too(start):
         bottleneck_heads=4, mlp_ratio=2, grid_size=0.01,
     )  # fmt: skip
     layout = TASK.layout.truncate(24)
-    model = PaperModel(layout, 7, config=small).eval()
+    model = PaperModel(layout, CONTROL, small).eval()
     torch.nn.init.normal_(model.head[-1].weight, std=0.3)
     state = start[1].coarsen(layout)
     actions = torch.rand(2, 3, 2, 7, generator=torch.Generator().manual_seed(1)) * 2 - 1
