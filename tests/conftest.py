@@ -241,7 +241,8 @@ class World:
         small = {"points": 12, "point_width": 16, "width": 32, "blocks": 2, "arm_width": 16}
         model = build_model("compact", self.layout, self.control, {**small, **settings}).eval()
         with torch.no_grad():
-            for head in (model.movers.head, model.robot.slide, *model.robot.heads):
+            responses = [arm.net[-1] for arm, known in zip(model.robot.arms, model.robot.known, strict=True) if known]
+            for head in (model.movers.head, model.robot.slide, *model.robot.heads, *responses):
                 torch.nn.init.normal_(head.weight, std=0.2)
                 torch.nn.init.normal_(head.bias, std=0.2)
             model.robot.response.hand_weight.normal_(std=0.01)

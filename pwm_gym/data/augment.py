@@ -41,11 +41,13 @@ def reframe(batch: Batch, generator: torch.Generator) -> Batch:
     """The same world points and motions with the axes of each object's canonical frame named anew.
 
     Which axis of an object is its x is a convention that dynamics must not depend on: a cube that has toppled lies like
-    one that has not. Each object of each window draws one of the 24 rotations that take axes to axes.
+    one that has not. Each object of each window draws one of the 24 rotations that take axes to axes, unless something
+    hangs on it, whose joint is told in its axes.
     """
+    parents = {entity.joint.parent for entity in batch.layout}
     clouds, frames, following = batch.clouds.clone(), batch.frames.clone(), batch.following.clone()
     for k, entity in enumerate(batch.layout):
-        if not entity.loose:
+        if not entity.loose or entity.name in parents:
             continue
         turn = _AXES[torch.randint(len(_AXES), (len(clouds),), generator=generator)]  # (B, 3, 3)
         clouds[:, entity.slice] = clouds[:, entity.slice] @ turn

@@ -33,7 +33,7 @@ class Header:
     """How it was collected."""
     layout: Any
     kinds: list[str] = field(default_factory=list)
-    clouds: list[list[float]] | None = None
+    clouds: list[tuple[float, float, float]] | None = None
     """Canonical points of all entities, in version 0.1; now each asset has a file."""
 
     @property

@@ -93,10 +93,7 @@ class SceneBank:
 
     def _check(self, path: Path) -> None:
         """Raise :class:`CheckpointError` where the arrays do not fit each other."""
-        for name, dims in (("clouds", 3), ("poses", 3), ("goals", 2), ("combination", 1)):
-            if getattr(self, name).ndim != dims:
-                raise CheckpointError(f"{path}: {name} has {getattr(self, name).ndim} dimensions; expected {dims}")
-        kinds, count = len(self.clouds), len(self.poses)
+        kinds, count = (len(a) if a.ndim else 0 for a in (self.clouds, self.poses))
         expected = {
             "clouds": (kinds, self.layout.points, 3),
             "poses": (count, len(self.layout), 7),
@@ -108,6 +105,13 @@ class SceneBank:
         for name, shape in expected.items():
             if getattr(self, name).shape != shape:
                 raise CheckpointError(f"{path}: {name} has shape {getattr(self, name).shape}; expected {shape}")
+        if len(self.assets) not in (0, kinds):
+            raise CheckpointError(f"{path} names assets of {len(self.assets)} combinations; expected {kinds}")
+        for names in self.assets:
+            if len(names) != len(self.layout):
+                raise CheckpointError(
+                    f"{path} names {len(names)} assets in a combination; expected {len(self.layout)}, one an entity"
+                )
         whole = np.issubdtype(self.combination.dtype, np.integer)
         if not whole or (count and not 0 <= self.combination.min() <= self.combination.max() < kinds):
             raise CheckpointError(f"{path}: combination holds no places among {kinds} combinations of assets")

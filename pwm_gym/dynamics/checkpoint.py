@@ -109,8 +109,11 @@ def save_checkpoint(
         "training": training,
         "metrics": metrics,
     }
-    for bank in banks:
-        bank.save(folder / f"{_SCENES}{bank.task}.npz")
+    named = {folder / f"{_SCENES}{bank.task}.npz": bank for bank in banks}
+    for path in {*folder.glob(_BANKS)} - named.keys():
+        path.unlink()  # of an earlier model's tasks
+    for path, bank in named.items():
+        bank.save(path)
     save_weights(folder, model, description)
 
 

@@ -17,15 +17,18 @@ from pwm_gym.errors import DatasetError, UnknownNameError
 from pwm_gym.seeds import split_of
 
 
-def assert_same(a, b, splits=SPLITS):
+def assert_same(left, right, splits=SPLITS):
     """Two data sets hold the same arrays, bit for bit."""
     for split in splits:
-        first, second = load_split(a, split), load_split(b, split)
-        np.testing.assert_array_equal(first.clouds, second.clouds)
+        first, second = load_split(left, split), load_split(right, split)
+        assert first.assets.keys() == second.assets.keys()
+        for name, points in first.assets.items():
+            np.testing.assert_array_equal(points, second.assets[name])
         assert first.layout == second.layout and len(first.episodes) == len(second.episodes)
         for x, y in zip(first.episodes, second.episodes, strict=True):
             for field in fields(Episode):
-                np.testing.assert_array_equal(getattr(x, field.name), getattr(y, field.name), field.name)
+                a, b = getattr(x, field.name), getattr(y, field.name)
+                np.testing.assert_array_equal(a, b, field.name)
 
 
 @pytest.fixture
@@ -124,7 +127,7 @@ def test_a_garbled_shard_is_refused(copied):
 
 def test_a_foreign_shard_is_refused(copied):
     path = copied.out / "train-foreign-00000.npz"
-    np.savez(path, header=np.array('{"format": "other"}'))
+    np.savez(path, header=np.array('{"format": "other", "schema": 2, "task": "PickCube"}'))
     with pytest.raises(DatasetError, match="has format 'other'; expected 'pwm_gym.episodes'"):
         load_split(copied.out, "train")
 
@@ -154,9 +157,9 @@ def test_an_unknown_task_is_refused(tmp_path):
 def test_a_truncated_header_is_named(copied):
     path = copied.out / "dataset.json"
     path.write_text(path.read_text()[:100])
-    with pytest.raises(DatasetError, match=r"dataset\.json is truncated or not JSON"):
+    with pytest.raises(DatasetError, match=r"dataset\.json is truncated or not valid"):
         collect(copied, progress=False)
-    with pytest.raises(DatasetError, match=r"dataset\.json is truncated or not JSON"):
+    with pytest.raises(DatasetError, match=r"dataset\.json is truncated or not valid"):
         load_split(copied.out, "train")
 
 
@@ -205,3 +208,10 @@ def test_a_planners_own_runs_are_collected(data_config, tmp_path):
     cube = episode.poses[0, 3, :3]
     gap = np.linalg.norm(hand - cube, axis=1)
     assert gap.min() < 0.6 * gap[0]  # it plans to get at the cube
+
+
+def test_a_data_set_without_a_folder_goes_to_its_tasks_own(monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    folder = collect(CollectConfig(episodes=1, held_out=1, practice=1.0, workers=1), progress=False)
+    assert folder == Path("data-sets/PickCube")
+    assert load_split(folder, "train").assets.keys() == {"hand", "left_gripper", "right_gripper", "cube"}

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from pwm_gym.data import Dataset, Windows, load_split
+from pwm_gym.data import Windows, load_split
 from pwm_gym.errors import DatasetError, UnknownNameError
 from pwm_gym.scene.se3 import matrix_from_pose7
 
@@ -128,10 +128,17 @@ def test_what_is_no_data_set_is_refused(tmp_path):
         load_split(tmp_path, "train")
     header = {"format": "other", "schema": 1}
     (tmp_path / "dataset.json").write_text(json.dumps(header))
+    with pytest.raises(DatasetError, match="missing required field `settings`"):
+        load_split(tmp_path, "train")
+    header |= {"settings": {}, "layout": []}
+    (tmp_path / "dataset.json").write_text(json.dumps(header))
     with pytest.raises(DatasetError, match="format 'other'; expected 'pwm_gym.dataset'"):
         load_split(tmp_path, "train")
-    (tmp_path / "dataset.json").write_text(json.dumps({"format": "pwm_gym.dataset", "schema": 99}))
-    with pytest.raises(DatasetError, match="has schema 99; this version reads up to 1"):
+    (tmp_path / "dataset.json").write_text(json.dumps({**header, "format": "pwm_gym.dataset", "schema": 99}))
+    with pytest.raises(DatasetError, match="has schema 99; this version reads up to 2"):
+        load_split(tmp_path, "train")
+    (tmp_path / "dataset.json").write_text(json.dumps({**header, "format": "pwm_gym.dataset"}))
+    with pytest.raises(DatasetError, match="names no task in its settings"):
         load_split(tmp_path, "train")
 
 
@@ -152,6 +159,6 @@ def test_episodes_shorter_than_the_horizon_are_left_out(train_split):
         episode, poses=episode.poses[:5], actions=episode.actions[:4], rewards=episode.rewards[:4],
         success=episode.success[:4], grasped=episode.grasped[:4], joints=episode.joints[:5],
     )  # fmt: skip
-    both = Dataset(train_split.task, train_split.layout, train_split.clouds, (short, episode))
+    both = replace(train_split, episodes=(short, episode))
     batch = Windows(both).sample(generator(), 500, 10)
     assert len(torch.unique(batch.frames[:, 0, 0, :3, 3], dim=0)) == len(episode) - 9

@@ -31,10 +31,10 @@ def test_export_and_import_give_the_same_episodes(tmp_path, monkeypatch):
     pytest.importorskip("minari")
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
     task = get_task("PickCube")
-    clouds = np.zeros((task.layout.points, 3), np.float32)
-    original = Dataset(task.name, task.layout, clouds, (_episode(0, 5), _episode(1, 8)))
+    assets = {e.name: np.zeros((e.points, 3), np.float32) for e in task.layout}
+    original = Dataset(task.name, task.layout, assets, (_episode(0, 5), _episode(1, 8)))
     export_minari(original, "pwm/PickCube/test-v0")
-    back = import_minari("pwm/PickCube/test-v0", task.name, clouds)
+    back = import_minari("pwm/PickCube/test-v0", task.name, assets)
     assert len(back.episodes) == 2
     for a, b in zip(original.episodes, back.episodes, strict=True):
         for field in fields(Episode):

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -8,7 +10,6 @@ from pwm_gym.dynamics import build_model
 from pwm_gym.errors import DatasetError
 from pwm_gym.evaluation import evaluate_rollouts, predict
 from pwm_gym.evaluation.rollouts import observed_start
-from pwm_gym.robots import Control
 from pwm_gym.scene.se3 import matrix_from_pose7
 from pwm_gym.tasks import get_task
 from pwm_gym.training.losses import TrainConfig, rollout_loss
@@ -33,7 +34,7 @@ def test_a_camera_sees_some_of_each_entity_and_never_its_back(train_split, seen)
     first = train_split.episodes[0]
     cube = train_split.layout["cube"]
     pose = matrix_from_pose7(torch.as_tensor(first.poses[0, 3])).numpy()
-    cloud = train_split.clouds[cube.slice]
+    cloud = train_split.assets["cube"]
     world = cloud @ pose[:3, :3].T + pose[:3, 3]
     normal = np.zeros_like(cloud)
     side = np.abs(cloud).argmax(1)
@@ -45,7 +46,7 @@ def test_a_camera_sees_some_of_each_entity_and_never_its_back(train_split, seen)
 
 def test_the_answer_is_kept_in_a_file(train_split, seen, meshes, tmp_path):
     path = tmp_path / "seen.npz"
-    few = type(train_split)(train_split.task, train_split.layout, train_split.clouds, train_split.episodes[:1])
+    few = replace(train_split, episodes=train_split.episodes[:1])
     made = visibility(few, meshes, cache=path, progress=False)
     np.testing.assert_array_equal(made, seen[: len(made)])
     np.testing.assert_array_equal(visibility(few, {}, cache=path, progress=False), made)  # no mesh is needed
@@ -81,7 +82,7 @@ def test_windows_follow_the_points_that_are_seen_at_their_beginning(train_split,
 def test_the_hybrid_loss_needs_no_correspondences(train_split, seen):
     batch = PartialWindows(train_split, seen).sample(torch.Generator().manual_seed(0), 4, 2)
     config = TrainConfig(loss="hybrid", loss_scale=1.0, loss_points=PARTIAL_POINTS)
-    still = build_model("still", train_split.layout, 7, Control())
+    still = build_model("still", train_split.layout)
     loss = rollout_loss(still, batch, config)
     state = batch.state()
     expected = []
@@ -96,7 +97,7 @@ def test_the_hybrid_loss_needs_no_correspondences(train_split, seen):
 
 
 def test_a_model_of_partial_clouds_is_scored_against_the_complete_truth(train_split, seen):
-    still = build_model("still", train_split.layout, 7, Control())
+    still = build_model("still", train_split.layout)
     start = observed_start(train_split, seen)
     rollouts = predict(still, train_split, start=start)
     assert rollouts.states.layout.points == 4 * PARTIAL_POINTS

@@ -9,7 +9,7 @@ from pwm_gym.scene.se3 import make_pose, rotation_from_vector
 from pwm_gym.tasks import get_task
 
 TASK = get_task("PickCube")
-ARM = TASK.control.arm
+ARM = TASK.control.arms[0]
 SMALL = CompactConfig(points=24, point_width=16, width=32, blocks=2, arm_width=32)
 
 
@@ -21,14 +21,18 @@ def transitions(train_split):
 @pytest.fixture(scope="module")
 def response(transitions):
     torch.manual_seed(0)
-    arm = ArmResponse(ARM, width=32)
-    arm.fit(transitions.joints, transitions.actions[:, 0], transitions.following_joints[:, 0], steps=200)
+    arm = ArmResponse(ARM, TASK.control, width=32)
+    fit(arm, transitions.joints, transitions, steps=200)
     return arm.requires_grad_(False)
+
+
+def fit(arm, joints, batch, steps):
+    arm.fit(joints[..., :7], batch.actions[:, 0], batch.following_joints[:, 0, :, :7], steps, floor=0.0)
 
 
 def predicted(response, batch):
     joints = batch.joints[..., :7]
-    step = response(joints, batch.actions[:, 0], response.kinematics(joints[:, 0])).step
+    step = response(joints, batch.actions[:, 0], response.kinematics(joints[:, 0]), 0.0).step
     return torch.stack([joints[:, 0] + step[:, 0], step[:, 1]], 1)
 
 
@@ -48,17 +52,17 @@ def test_velocities_tell_what_past_positions_do_not(train_split, steps, kinds):
     errors = []
     for known in (joints, torch.stack([joints[:, 0], torch.zeros_like(joints[:, 1])], 1)):
         torch.manual_seed(0)
-        arm = ArmResponse(ARM, width=32)
-        arm.fit(known, transitions.actions[:, 0], following, steps=steps)
+        arm = ArmResponse(ARM, TASK.control, width=32)
+        fit(arm, known, transitions, steps)
         arm.requires_grad_(False)
-        root = arm.kinematics(known[:, 0, :7])
-        step = arm(known[..., :7], transitions.actions[:, 0], root).step[:, 0]
+        hand = arm.kinematics(known[:, 0, :7])
+        step = arm(known[..., :7], transitions.actions[:, 0], hand, 0.0).step[:, 0]
         errors.append((known[:, 0, :7] + step - following[:, 0, :7]).norm(dim=-1).mean())
     assert errors[0] < 0.5 * errors[1]
 
 
 def test_a_command_out_of_reach_leaves_the_arm_where_it_is(response):
-    joints = torch.tensor([ARM.rest])
+    joints = torch.tensor([ARM.chain.rest])
     action = torch.zeros(1, 7)
     action[:, 0] = 1.0
     assert response.command(joints, action, response.kinematics(joints)).abs().max() > 0.01
@@ -69,11 +73,12 @@ def test_a_command_out_of_reach_leaves_the_arm_where_it_is(response):
 
 def test_near_the_edge_of_the_reach_small_steps_find_what_whole_ones_miss(response):
     generator = torch.Generator().manual_seed(0)
-    stretched = torch.tensor(ARM.rest) + torch.tensor([0.0, 0.9, 0.0, 1.2, 0.0, -0.3, 0.0])
+    stretched = torch.tensor(ARM.chain.rest) + torch.tensor([0.0, 0.9, 0.0, 1.2, 0.0, -0.3, 0.0])
     joints = stretched + 0.15 * torch.randn(1000, 7, generator=generator)
     action = 2.0 * torch.rand(1000, 7, generator=generator) - 1.0
     kinematics, root = response.kinematics, response.kinematics(joints)
-    goal = kinematics.target(root, action)
+    angles = action[:, 3:6] / action[:, 3:6].norm(dim=-1, keepdim=True).clamp_min(1.0)
+    goal = kinematics.target(root, 0.1 * action[:, :3], -0.1 * angles)
     _, whole = kinematics.solve(goal, joints, 3)
     command = response.command(joints, action, root)
     found = command.abs().sum(-1) > 0
@@ -83,19 +88,18 @@ def test_near_the_edge_of_the_reach_small_steps_find_what_whole_ones_miss(respon
 
 
 def test_rest_without_a_command_is_rest(response):
-    joints = torch.stack([torch.tensor(ARM.rest), torch.zeros(7)]).expand(2, 2, 7)
+    joints = torch.stack([torch.tensor(ARM.chain.rest), torch.zeros(7)]).expand(2, 2, 7)
     root = response.kinematics(joints[:, 0])
     response.net[-1].bias.fill_(0.3)  # whatever the network says
-    step = response(joints, torch.zeros(2, 7), root).step
+    step = response(joints, torch.zeros(2, 7), root, 0.0).step
     response.net[-1].bias.zero_()
     assert step.abs().max() < 1e-5
 
 
 def test_joints_are_solved_for_where_a_scene_does_not_tell_them(response, train_split):
     state = batch_state([train_split.scene(e, k) for e in train_split.episodes for k in (8, 16, 24)])
-    known = response.observe(state.frames[:, :, 0], state.joints)
-    assert torch.equal(known, state.joints[..., :7])
-    solved = response.observe(state.frames[:, :, 0], None)
+    known = state.joints[..., :7]
+    solved = response.observe(state.frames[:, :, 0])
     for k, angles in enumerate((solved[:, 0], solved[:, 0] - solved[:, 1] / response.braking)):
         roots = response.kinematics(angles)
         torch.testing.assert_close(roots[..., :3, 3], state.frames[:, k, 0, :3, 3], atol=1e-4, rtol=0)
@@ -108,10 +112,11 @@ def test_joints_are_solved_for_where_a_scene_does_not_tell_them(response, train_
 @torch.no_grad()
 def test_turning_the_scene_about_the_vertical_turns_the_prediction(response, train_split):
     torch.manual_seed(0)
-    model = CompactModel(TASK.layout, 7, TASK.control, SMALL).eval()
-    for layer in (model.head, model.arm_head, model.arm.net[-1]):
+    model = CompactModel(TASK.layout, TASK.control, SMALL).eval()
+    arm = model.robot.arms[0]
+    for layer in (model.movers.head, *model.robot.heads, arm.net[-1]):
         torch.nn.init.normal_(layer.weight, std=0.2)
-    model.arm.weight.copy_(response.weight)
+    arm.weight.copy_(response.weight)
     state = model.prepare(batch_state([train_split.scene(e, 8) for e in train_split.episodes[:4]]))
     turn = make_pose(rotation_from_vector(torch.tensor([0.0, 0.0, 0.4])), torch.zeros(3))
     joints = state.joints.clone()
@@ -124,4 +129,4 @@ def test_turning_the_scene_about_the_vertical_turns_the_prediction(response, tra
     plain = model.step(state, action)
     torch.testing.assert_close(after.poses(), turn @ plain.poses(), atol=2e-5, rtol=0)
     assert (plain.poses() - state.poses())[:, 0, :3, 3].norm(dim=1).min() > 1e-3
-    torch.testing.assert_close(model.arm.kinematics(plain.joints[:, 0]), plain.poses()[:, 0])
+    torch.testing.assert_close(arm.kinematics(plain.joints[:, 0]), plain.poses()[:, 0])

@@ -67,7 +67,7 @@ def test_steps_in_every_kind_of_scene(worlds, name):
     world = worlds[name]
     model, state = world.model(), world.state()
     assert isinstance(model, WorldModel)
-    states = steps(model, state, many_actions(world, 30))
+    states = steps(model, state, many_actions(world, 12))
     last = states[-1]
     assert last.frames.isfinite().all() and last.layout is state.layout
     rotation = last.poses()[..., :3, :3]
@@ -87,7 +87,7 @@ def test_what_hangs_on_a_joint_stays_on_it_within_its_limits(worlds, name):
     layout = state.layout
     tree = JointTree(layout, [i for i, e in enumerate(layout) if e.joint.moves])
     spread = []
-    for after in steps(model, state, many_actions(world, 40)):
+    for after in steps(model, state, many_actions(world, 15)):
         q = tree.positions(after.poses())
         torch.testing.assert_close(tree.place(after.poses(), q), after.poses(), atol=1e-5, rtol=0)
         assert (q > tree.lower - 1e-5).all() and (q < tree.upper + 1e-5).all()
@@ -105,7 +105,7 @@ def test_what_is_fixed_to_something_goes_with_it(worlds):
     }
     for name, on_each_other in pairs.items():
         world = worlds[name]
-        states = steps(world.model(), world.state(), many_actions(world, 20))
+        states = steps(world.model(), world.state(), many_actions(world, 6))
         for parent, child in on_each_other:
             assert moved(states[-1], world.state(), child) > 1e-3
             torch.testing.assert_close(
@@ -271,19 +271,6 @@ def test_another_height_is_another_prediction(worlds):
 
 
 @torch.no_grad()
-def test_with_the_ground_it_is_the_same_prediction(worlds):
-    """A scene on a higher table is that scene: heights are told over the ground."""
-    model, state, action = worlds["lid"].model(kinematic=False), worlds["lid"].state(), worlds["lid"].actions()
-    lift = make_pose(torch.eye(3), torch.tensor([0.0, 0.0, 0.25]))
-    layout = replace(state.layout, supports=(Support.ground(0.25),))
-    plain = model.step(model.prepare(state), action)
-    lifted = model.step(model.prepare(replace(state, layout=layout, frames=lift @ state.frames)), action)
-    # What the base's height tells is left; the lid's contacts and joint are the same.
-    gap = (lifted.poses() - lift @ plain.poses())[:, state.layout.index("lid")]
-    assert gap.abs().max() < 0.2 * moved(plain, state, "lid")
-
-
-@torch.no_grad()
 def test_the_order_of_an_entitys_points_does_not_matter(worlds):
     world = replace(worlds["pot"], points=12)
     model, state, action = world.model(), world.state(), world.actions()
@@ -312,14 +299,14 @@ def test_a_scene_does_not_depend_on_its_batch(worlds, name):
 
 
 @torch.no_grad()
-@pytest.mark.parametrize("name", EVERY)
+@pytest.mark.parametrize("name", ["cube", "two arms", "pot", "no arm"])
 def test_an_untouched_scene_rests_exactly(worlds, set_gates, name):
     world = worlds[name]
-    model, state = set_gates(world.model(), fall=0.0), world.state(moving=False)
+    model, state = set_gates(world.model(), fall=0.0), world.state(1, moving=False)
     for head in (model.robot.slide, *model.robot.heads):  # which a trained model does not use at rest
         head.weight.zero_()
         head.bias.zero_()
-    assert moved(steps(model, state, at_rest(world, 50))[-1], state) < 2e-6
+    assert moved(steps(model, state, at_rest(world, 50, 1))[-1], state) < 2e-6
 
 
 @torch.no_grad()
@@ -327,7 +314,7 @@ def test_shut_gates_leave_objects_where_they_are_whatever_the_robot_does(worlds,
     for name in ("drawer", "lid", "two arms", "pot"):
         world = worlds[name]
         model, state = set_gates(world.model()), world.state()
-        last = steps(model, state, many_actions(world, 20))[-1]
+        last = steps(model, state, many_actions(world, 8))[-1]
         assert moved(last, state, *(e.name for e in state.layout if not e.driven)) < 2e-6
         assert moved(last, state, state.layout.names[0]) > 1e-3
 
@@ -433,7 +420,7 @@ def test_what_rests_on_something_does_not_fall(worlds, set_gates, new_body, cree
     frames[:, :, objects, :3, :3] = torch.eye(3)
     frames[:, 1:, objects, 2, 3] += creep
     state = replace(state, frames=frames)
-    last = steps(model, state, at_rest(world, 20, 1))[-1]
+    last = steps(model, state, at_rest(world, 12, 1))[-1]
     assert moved(last, state, "low", "above", "onbox") < 2e-6
     first = steps(model, state, at_rest(world, 1, 1))[-1]
     fallen = (state.poses() - first.poses())[0, state.layout.index("high"), 2, 3]
@@ -504,10 +491,8 @@ def test_gradients_reach_every_parameter(worlds, name):
     states = rollout(model, state, many_actions(world, 2).transpose(0, 1))
     states.points().square().sum().backward()
     trained = {n: p.grad for n, p in model.named_parameters() if not n.startswith("error.")}
-    unused = {n for n, grad in trained.items() if grad is None or not grad.abs().sum() > 0}
-    if name == "pot":
-        assert unused == set()
-    assert all(grad.isfinite().all() for grad in trained.values() if grad is not None)
+    assert [n for n, grad in trained.items() if grad is None or not grad.abs().sum() > 0] == []
+    assert all(grad.isfinite().all() for grad in trained.values())
     assert all(p.grad is None for p in model.error.parameters())  # it is fitted when the rest is done
 
 
@@ -570,10 +555,10 @@ def test_points_are_registered_to_poses(worlds):
 
 @torch.no_grad()
 def test_more_layouts_than_are_remembered_work(worlds):
-    world = worlds["cube"]
+    world = worlds["unknown arm"]
     model, state, action = world.model(), world.state(), world.actions()
     expected = model.step(model.prepare(state), action).poses()
-    for _ in range(80):
+    for _ in range(40):
         copy = replace(state, layout=Layout.from_json(state.layout.to_json()))
         assert torch.equal(model.step(model.prepare(copy), action).poses(), expected)
 

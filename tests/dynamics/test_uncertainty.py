@@ -29,11 +29,11 @@ def test_the_head_learns_the_scale_of_errors():
 def model(train_split):
     batch = Windows(train_split).transitions()
     torch.manual_seed(0)
-    model = build_model("compact", TASK.layout, 7, TASK.control, SETTINGS).requires_grad_(False)
-    model.arm.requires_grad_(True)
-    model.arm.fit(batch.joints, batch.actions[:, 0], batch.following_joints[:, 0], steps=100)
+    model = build_model("compact", TASK.layout, TASK.control, SETTINGS).requires_grad_(False)
+    arm = model.robot.arms[0].requires_grad_(True)
+    arm.fit(batch.joints[..., :7], batch.actions[:, 0], batch.following_joints[:, 0, :, :7], steps=100, floor=0.0)
     model.requires_grad_(False).eval()
-    fit_error(model, train_split, steps=300)
+    fit_error(model, [train_split], steps=300)
     return model
 
 
@@ -64,6 +64,6 @@ def test_states_carry_the_expected_error(model, train_split):
     start = model.prepare(batch_state([train_split.scene(e) for e in train_split.episodes[:3]]))
     assert stack([start, start], 1)[1:].error.shape == (2, 2, 4)
     assert start.coarsen(start.layout.truncate(5)).error is start.error
-    sure = build_model("compact", TASK.layout, 7, TASK.control, {**SETTINGS, "uncertain": False})
+    sure = build_model("compact", TASK.layout, TASK.control, {**SETTINGS, "uncertain": False})
     assert sure.prepare(start).error is None
     assert sure.step(sure.prepare(start), torch.zeros(3, 7)).error is None

@@ -100,10 +100,19 @@ class RobotMotion(nn.Module):
         return torch.cat(found, -1)
 
     def select(self, joints: Tensor) -> Tensor:
-        """The known arms' joints (..., J) of the robot's (..., J'), or of themselves."""
+        """The known arms' joints (..., J) of the robot's (..., J'), or of themselves.
+
+        Raises:
+            SceneError: the robot has fewer.
+        """
         if joints.shape[-1] == self.joints:
             return joints
-        return torch.cat([joints[..., place] for place in self.robot_slices], -1) if self.joints else joints[..., :0]
+        if not self.joints:
+            return joints[..., :0]
+        most = max(place.stop for place in self.robot_slices)
+        if joints.shape[-1] < most:
+            raise SceneError(f"the robot has {joints.shape[-1]} joints; expected {most} at least")
+        return torch.cat([joints[..., place] for place in self.robot_slices], -1)
 
     def fit(self, transitions: Transitions, arm_steps: int) -> None:
         """Fit the responses: the linear one in closed form, the arms' with ``arm_steps`` optimiser steps."""
