@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import tyro
 
 from pwm_gym.training import FitConfig
 from pwm_gym.training.losses import TrainConfig
 
-__all__ = ["Train", "resolved"]
+__all__ = ["Train"]
 
 
 @dataclass(frozen=True)
@@ -35,25 +34,7 @@ class Train:
         if self.paper:
             kept = {k: getattr(training, k) for k in ("seed", "threads", "validate_every", "device")}
             training = replace(TrainConfig.paper(), **kept)
-        config = resolved(self.fit)
         main = is_main_process()  # before anything is read: an error where torchrun did not start it
-        checkpoint = fit(config, training, validation_metrics)
+        checkpoint = fit(self.fit, training, validation_metrics)
         if main:
             print(f"checkpoint: {checkpoint}")
-
-
-def resolved(config: FitConfig) -> FitConfig:
-    """The same settings with the task that the data sets are of, and a folder named after all of their tasks."""
-    from pwm_gym.data.dataset import read_header
-
-    if not config.data:
-        return config
-    tasks = list(dict.fromkeys(_task_of(read_header(folder)) for folder in config.data))
-    out = Path("runs") / "+".join(tasks) if config.out is None else config.out
-    return replace(config, task=config.task if config.task in tasks else tasks[0], out=out)
-
-
-def _task_of(header: Any) -> str:
-    """Task of a data set, by its header."""
-    settings = header["settings"] if isinstance(header, dict) else header.settings
-    return str(settings["task"])

@@ -11,7 +11,7 @@ from pwm_gym.evaluation.floors import chaos_floor, in_units_of_chaos, nudged, sa
 from pwm_gym.evaluation.joints import joint_positions
 from pwm_gym.evaluation.rollouts import OBSERVED, Rollouts, joint_errors, position_errors, rotation_errors
 from pwm_gym.robots import Control
-from pwm_gym.scene import Joint, Layout, PointState, RigidState, Scene, batch_state, resample_clouds, sample_clouds
+from pwm_gym.scene import Joint, Layout, PointState, RigidState, Scene, batch_state, sample_clouds
 from pwm_gym.scene.se3 import matrix_from_pose7, pose7_from_matrix, rotation_from_vector
 from pwm_gym.tasks import get_task
 
@@ -23,8 +23,8 @@ HAND, CUBE = TASK.layout.index("hand"), TASK.layout.index("cube")
 def dataset(train_split):
     """Two episodes of each kind, with few points, so that scoring is quick."""
     layout = TASK.layout.truncate(40)
-    clouds = resample_clouds(train_split.clouds, train_split.layout, layout)
-    return Dataset("PickCube", layout, clouds, train_split.episodes[:2] + train_split.episodes[4:6])
+    assets = {e.name: train_split.assets[e.name][: e.points] for e in layout}
+    return Dataset("PickCube", layout, assets, train_split.episodes[:2] + train_split.episodes[4:6])
 
 
 class Replay:

@@ -77,7 +77,8 @@ def test_the_papers_protocol_is_its_own():
     members = PLANNING_TABLES["planning-paper"].members
     assert {m.config for m in members} == {MPPIConfig.paper()} and {m.count(full=True) for m in members} == {20}
     config = members[0].config
-    assert (config.samples, config.horizon, config.elites, config.sigma) == (200, 10, 64, (5.0,))
+    assert (config.samples, config.horizon, config.elites) == (200, 10, 64)
+    assert set(config.noise.resolve(TASK.control).sigma) == {5.0}
 
 
 def test_planners_are_compared_in_one_model():
@@ -100,7 +101,7 @@ def test_what_the_environment_shows_is_what_is_planned_from(data_folder, tmp_pat
     member = replace(BASELINE, partial=False, observation="completed", sensor="d455")
     chosen = PlanningTable("completed", (member,), modes=("closed loop",))
     run_planning_table(chosen, data_folder, tmp_path)
-    assert seen["observation"] == "completed" and seen["sensing"].sensor == "d455"
+    assert seen["observation"] == "completed" and seen["camera"].sensor == "d455"
     (run,) = [Run.load(p) for p in tmp_path.rglob("seed-*.npz")]
     assert run.steps == 2
 
