@@ -97,11 +97,11 @@ class SceneBank:
         expected = {
             "clouds": (kinds, self.layout.points, 3),
             "poses": (count, len(self.layout), 7),
-            "goals": (count, *self.goals.shape[1:2]),
+            "goals": (count, self.goals.shape[1] if self.goals.ndim > 1 else 0),
             "combination": (count,),
         }
         if self.joints is not None:
-            expected["joints"] = (count, *self.joints.shape[1:2])
+            expected["joints"] = (count, self.joints.shape[1] if self.joints.ndim > 1 else 0)
         for name, shape in expected.items():
             if getattr(self, name).shape != shape:
                 raise CheckpointError(f"{path}: {name} has shape {getattr(self, name).shape}; expected {shape}")
