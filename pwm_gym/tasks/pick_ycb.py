@@ -110,6 +110,7 @@ PICK_YCB = register_task(
         goal_size=3,
         simulator=_simulator,
         object_sets=_SETS,
+        expert_steps=59,
         expert=PickYcbExpert.sample,
         cost="pick_ycb",
         plan_cost="pick_ycb_plan",
