@@ -22,7 +22,6 @@ __all__ = ["PICK_YCB", "PickYcbExpert"]
 _GOAL_RADIUS, _STATIC = 0.025, 0.2  # metres and rad/s: ManiSkill's thresholds of success
 _SETS = ("seen", "unseen", "liftable", "unseen_liftable", "all")
 _LAYOUT = layout({"object": 300})
-_OBJECT = _LAYOUT.index("object")
 
 _at_goal = objects.near("object", terms.goal_position, _GOAL_RADIUS)
 register_grasp("pick_ycb")(terms.near_and_shut("object"))
@@ -82,7 +81,7 @@ class PickYcbExpert:
         """Action (7,) for poses (4, 7) of hand, fingers and object, and the goal (3,) of the object's origin."""
         if not assets:
             raise PwmGymError("the expert of PickYCB was given no assets; it chooses grasps by the object's name")
-        return PickObject(self.grasps(assets[_OBJECT]), self.speed).act(poses, goal)
+        return PickObject(self.grasps(assets[_LAYOUT.index("object")]), self.speed).act(poses, goal)
 
 
 def _simulator(objects: str | Sequence[str] = _SETS[0]) -> Simulator:
@@ -110,6 +109,7 @@ PICK_YCB = register_task(
         goal_size=3,
         simulator=_simulator,
         object_sets=_SETS,
+        expert_steps=59,
         expert=PickYcbExpert.sample,
         cost="pick_ycb",
         plan_cost="pick_ycb_plan",

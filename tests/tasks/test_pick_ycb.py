@@ -121,8 +121,8 @@ def test_objects_are_chosen_by_set_or_by_name(shapes):
     assert select_objects(shapes, "shape_bar") == ("shape_bar",)
     with pytest.raises(PwmGymError, match="none of the 12 objects in .* is unseen and liftable"):
         select_objects(shapes, "unseen_liftable")
-    with pytest.raises(UnknownNameError, match="'shape_bax'.*Did you mean 'shape_bar'"):
-        select_objects(shapes, "shape_bax")
+    with pytest.raises(UnknownNameError, match="'shape_botle'.*Did you mean 'shape_bottle'"):
+        select_objects(shapes, "shape_botle")
     with pytest.raises(MissingAssetsError, match="has no object '011_banana'"):
         TASK.make_simulator(("011_banana",))
     with pytest.raises(PwmGymError, match="the objects of PickCube are always the same"):
