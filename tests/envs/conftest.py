@@ -118,7 +118,7 @@ def toy(monkeypatch):
     )
     monkeypatch.setitem(TASKS, "Toy", task)
     model = build_model("still", LAYOUT, task.control)
-    checkpoint = SimpleNamespace(model=model, bank=ToyBank())
+    checkpoint = SimpleNamespace(model=model, bank=lambda task: ToyBank(), check_robot=lambda *_: None)
     monkeypatch.setattr("pwm_gym.envs.model_vector_env.resolve", lambda *_: None)
     monkeypatch.setattr("pwm_gym.envs.model_vector_env.load_checkpoint", lambda *_: checkpoint)
     return task
@@ -151,7 +151,7 @@ def sliding():
 
     class Sliding:
         def __init__(self, model):
-            self.layout, self.action_size = model.layout, model.action_size
+            self.links, self.action_size = model.links, model.action_size
 
         def prepare(self, state):
             return state

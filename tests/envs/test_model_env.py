@@ -62,7 +62,7 @@ def test_a_model_of_points_leaves_the_bounds_too(env):
     base = env.unwrapped
 
     class Points:
-        layout, action_size = base.model.layout, base.model.action_size
+        links, action_size = base.model.links, base.model.action_size
 
         def prepare(self, state):
             return PointState.of(state)

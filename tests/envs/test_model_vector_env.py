@@ -14,11 +14,12 @@ from gymnasium.utils.env_checker import data_equivalence
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from gymnasium.wrappers.vector import RecordEpisodeStatistics, RecordVideo
 
+from pwm_gym.dynamics.checkpoint import default_checkpoints
 from pwm_gym.envs import ModelVectorEnv
 from pwm_gym.errors import PwmGymError
 from pwm_gym.tasks import TASKS
 
-IDS = sorted(i for i in gym.registry if i.startswith("pwm/") and "Sim-" not in i)
+IDS = sorted(f"pwm/{task}-v0" for task in default_checkpoints())
 STEPS = 10
 MODES = list(AutoresetMode)
 

@@ -19,7 +19,7 @@ class Broken:
     """A world model that stands still and spoils a tensor of the state."""
 
     def __init__(self, model, spoil):
-        self.layout, self.action_size, self._model, self._spoil = model.layout, model.action_size, model, spoil
+        self.links, self.action_size, self._model, self._spoil = model.links, model.action_size, model, spoil
 
     def prepare(self, state):
         return self._model.prepare(state)
