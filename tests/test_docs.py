@@ -21,7 +21,7 @@ def run_page(page):
     assert blocks
     namespace: dict = {"__name__": "page"}
     for block in blocks:
-        exec(compile(block, page, "exec"), namespace)
+        exec(compile(block, page, "exec", dont_inherit=True), namespace)
     return namespace
 
 
