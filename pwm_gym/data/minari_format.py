@@ -37,7 +37,9 @@ def export_minari(dataset: Dataset, dataset_id: str) -> Any:
     """
     if len(dataset.combinations) > 1:
         found = len(dataset.combinations)
-        raise DatasetError(f"the data set has {found} combinations of assets; expected the same objects in all episodes")
+        raise DatasetError(
+            f"the data set has {found} combinations of assets; expected the same objects in all episodes"
+        )
     import minari
     from minari.data_collector import EpisodeBuffer
 
