@@ -37,7 +37,8 @@ def export_minari(dataset: Dataset, dataset_id: str) -> Any:
     """
     if len(dataset.combinations) > 1:
         found = len(dataset.combinations)
-        raise DatasetError(
+        told = f"the data set has {found} combinations of assets; expected the same objects in all episodes"
+        raise DatasetError(told)
             f"the data set has {found} combinations of assets; expected the same objects in all episodes"
         )
     import minari
