@@ -39,8 +39,6 @@ def export_minari(dataset: Dataset, dataset_id: str) -> Any:
         found = len(dataset.combinations)
         told = f"the data set has {found} combinations of assets; expected the same objects in all episodes"
         raise DatasetError(told)
-            f"the data set has {found} combinations of assets; expected the same objects in all episodes"
-        )
     import minari
     from minari.data_collector import EpisodeBuffer
 
