@@ -98,9 +98,9 @@ def rollout_loss(model: WorldModel, batch: Batch, config: TrainConfig) -> Tensor
             term = _huber((next_points - points) - (next_truth - truth), config, weight)
             if config.position_weight:
                 term = term + config.position_weight * _huber(next_points - next_truth, config, weight)
-            if config.joint_weight and isinstance(model, MovesArms) and isinstance(state, RigidState):
-                known = model.own_joints(batch.following_joints[:, h])
-                error = known[..., :0] if state.joints is None else state.joints - known
+            joints = state.joints if isinstance(state, RigidState) else None
+            if config.joint_weight and isinstance(model, MovesArms) and joints is not None:
+                error = joints - model.own_joints(batch.following_joints[:, h])
                 term = term + config.joint_weight * _huber(_LEVER * error, config)
         terms.append(term)
         points, truth = next_points, next_truth
