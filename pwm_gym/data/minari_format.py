@@ -31,7 +31,15 @@ def export_minari(dataset: Dataset, dataset_id: str) -> Any:
 
     Returns:
         The ``minari.MinariDataset``.
+
+    Raises:
+        DatasetError: objects differ between episodes, which the format has no place for.
     """
+    if len(dataset.combinations) > 1:
+        found = len(dataset.combinations)
+        raise DatasetError(
+            f"the data set has {found} combinations of assets; expected the same objects in all episodes"
+        )
     import minari
     from minari.data_collector import EpisodeBuffer
 
