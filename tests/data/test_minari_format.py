@@ -7,6 +7,7 @@ import pytest
 
 from pwm_gym.data import Dataset, Episode
 from pwm_gym.data.minari_format import export_minari, import_minari
+from pwm_gym.errors import DatasetError
 from pwm_gym.tasks import get_task
 
 
@@ -39,3 +40,8 @@ def test_export_and_import_give_the_same_episodes(tmp_path, monkeypatch):
     for a, b in zip(original.episodes, back.episodes, strict=True):
         for field in fields(Episode):
             assert np.array_equal(getattr(a, field.name), getattr(b, field.name)), field.name
+
+
+def test_objects_that_differ_between_episodes_are_refused(worlds, recorder):
+    with pytest.raises(DatasetError, match="has 3 combinations of assets; expected the same objects in all episodes"):
+        export_minari(recorder.several(worlds["cube"]), "pwm/Test/test-v0")

@@ -10,6 +10,7 @@ from pwm_gym.dynamics import build_model
 from pwm_gym.errors import DatasetError
 from pwm_gym.evaluation import evaluate_rollouts, predict
 from pwm_gym.evaluation.rollouts import observed_start
+from pwm_gym.robots import Control
 from pwm_gym.scene.se3 import matrix_from_pose7
 from pwm_gym.tasks import get_task
 from pwm_gym.training.losses import TrainConfig, rollout_loss
@@ -82,7 +83,7 @@ def test_windows_follow_the_points_that_are_seen_at_their_beginning(train_split,
 def test_the_hybrid_loss_needs_no_correspondences(train_split, seen):
     batch = PartialWindows(train_split, seen).sample(torch.Generator().manual_seed(0), 4, 2)
     config = TrainConfig(loss="hybrid", loss_scale=1.0, loss_points=PARTIAL_POINTS)
-    still = build_model("still", train_split.layout)
+    still = build_model("still", train_split.layout, Control())
     loss = rollout_loss(still, batch, config)
     state = batch.state()
     expected = []
@@ -97,7 +98,7 @@ def test_the_hybrid_loss_needs_no_correspondences(train_split, seen):
 
 
 def test_a_model_of_partial_clouds_is_scored_against_the_complete_truth(train_split, seen):
-    still = build_model("still", train_split.layout)
+    still = build_model("still", train_split.layout, Control())
     start = observed_start(train_split, seen)
     rollouts = predict(still, train_split, start=start)
     assert rollouts.states.layout.points == 4 * PARTIAL_POINTS

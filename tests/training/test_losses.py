@@ -11,13 +11,13 @@ import torch
 from pwm_gym.data import Windows
 from pwm_gym.dynamics import CompactConfig, CompactModel, PaperConfig, PaperModel, build_model, load_checkpoint
 from pwm_gym.errors import CheckpointError, DatasetError, UnknownNameError
-from pwm_gym.robots import Control
+from pwm_gym.robots import Arm
 from pwm_gym.tasks import get_task
 from pwm_gym.training import FitConfig, fit
 from pwm_gym.training.losses import TrainConfig, rollout_loss, train
 
 LAYOUT = get_task("PickCube").layout
-CONTROL = Control(vectors=((0, 3), (3, 6)))
+CONTROL = replace(get_task("PickCube").control, arms=(Arm("arm", "hand"),))  # of which no joints are known
 SETTINGS = {"points": 8, "point_width": 16, "width": 32, "blocks": 1}
 QUICK = TrainConfig(phases=((1, 8, 16), (3, 4, 8)), validate_every=4, threads=1)
 
@@ -30,8 +30,8 @@ def windows(train_split):
 def compact(windows, seed=0):
     batch = windows.transitions()
     torch.manual_seed(seed)
-    model = build_model("compact", LAYOUT, 7, CONTROL, SETTINGS)
-    model.response.fit(batch.frames, batch.actions[:, 0], batch.following[:, 0])
+    model = build_model("compact", LAYOUT, CONTROL, SETTINGS)
+    model.robot.response.fit(batch.frames[:, :, :3], batch.actions[:, 0], batch.following[:, 0, :3])
     return model
 
 
@@ -42,7 +42,7 @@ def small_paper(seed=0):
         decoder_depths=(1, 1), decoder_channels=(16, 16), decoder_heads=(2, 2), decoder_patches=(64, 16),
         bottleneck_heads=4, mlp_ratio=2, grid_size=0.01,
     )  # fmt: skip
-    return PaperModel(LAYOUT, 7, config=small)
+    return PaperModel(LAYOUT, CONTROL, small)
 
 
 def nothing(model):
@@ -66,7 +66,7 @@ def assert_equal(a, b):
 def test_the_loss_goes_down(windows, tmp_path):
     config = TrainConfig(phases=((1, 150, 32),), learning_rate=1e-2, validate_every=1000, threads=1, ema_decay=0.9)
     model = compact(windows)
-    model.response.root_weight.zero_()  # which leaves the network something to learn
+    model.robot.response.hand_weight.zero_()  # which leaves the network something to learn
     batch = windows.sample(torch.Generator().manual_seed(99), 256, 1)
     before = rollout_loss(model, batch, config).item()
     run(model, windows, config, tmp_path)
@@ -77,7 +77,7 @@ def test_the_loss_goes_down(windows, tmp_path):
 
 def test_the_loss_is_the_papers_huber_on_velocities(windows):
     config = TrainConfig.paper()
-    still = build_model("still", LAYOUT, 7, CONTROL)
+    still = build_model("still", LAYOUT, CONTROL)
     batch = windows.sample(torch.Generator().manual_seed(0), 4, 5)
     state = batch.state()
     expected = []
@@ -92,7 +92,7 @@ def test_a_perfect_model_has_no_loss_and_objects_weigh_more(windows):
     batch = windows.sample(torch.Generator().manual_seed(0), 4, 3)
 
     class Replay:
-        layout, step_count = LAYOUT, 0
+        links, step_count = LAYOUT.robot(), 0
 
         def __init__(self, wrong):
             self.wrong = wrong
@@ -165,13 +165,13 @@ def test_a_finished_run_is_left_alone(windows, tmp_path):
 
 def test_what_is_saved_is_the_average_and_what_goes_on_is_not(windows, tmp_path):
     saved = []
-    run(compact(windows), windows, QUICK, tmp_path, lambda m, _: saved.append(m.head.weight.detach().clone()))
+    run(compact(windows), windows, QUICK, tmp_path, lambda m, _: saved.append(m.movers.head.weight.detach().clone()))
     state = torch.load(tmp_path / "training-state.pt", weights_only=True)
-    assert torch.equal(saved[-1], state["ema"]["head.weight"])
-    assert not torch.equal(state["ema"]["head.weight"], state["model"]["head.weight"])
+    assert torch.equal(saved[-1], state["ema"]["movers.head.weight"])
+    assert not torch.equal(state["ema"]["movers.head.weight"], state["model"]["movers.head.weight"])
     last = run(compact(windows), windows, replace(QUICK, ema_decay=0.0), tmp_path / "plain")
     state = torch.load(tmp_path / "plain" / "training-state.pt", weights_only=True)
-    torch.testing.assert_close(last["head.weight"], state["model"]["head.weight"])
+    torch.testing.assert_close(last["movers.head.weight"], state["model"]["movers.head.weight"])
 
 
 def test_another_configuration_is_refused(windows, tmp_path):
@@ -277,7 +277,7 @@ def test_a_killed_run_resumes_to_the_same_checkpoint(data_folder, tmp_path):
     assert 0 < torch.load(out / "training-state.pt", weights_only=True)["step"] < 60
     resumed = fit(fit_config(data_folder, out), config, lambda m, d, seen: {}, progress=False)
     whole = fit(fit_config(data_folder, tmp_path / "whole"), config, lambda m, d, seen: {}, progress=False)
-    a, b = (load_checkpoint(folder, "PickCube").model for folder in (resumed, whole))
+    a, b = (load_checkpoint(folder).model for folder in (resumed, whole))
     assert_equal(a.state_dict(), b.state_dict())
 
 
@@ -286,14 +286,15 @@ def test_fit_writes_a_checkpoint_that_says_what_it_was_trained_on(data_folder, t
     folder = fit(
         fit_config(data_folder, tmp_path), quick, lambda m, d, seen: {"episodes": len(d.episodes)}, progress=False
     )
-    checkpoint = load_checkpoint(folder, "PickCube")
+    checkpoint = load_checkpoint(folder)
     assert isinstance(checkpoint.model, CompactModel) and checkpoint.model.config == CompactConfig(**SETTINGS)
     data = checkpoint.description["training"]["data"]
     assert data["transitions"] == sum(len(e) for e in train_split.episodes)
     assert sum(data["episodes"].values()) == 8 and data["episodes"]["practice"] == 4
     assert checkpoint.description["metrics"]["validation"] == {"episodes": 2}
-    assert len(checkpoint.bank) == 8
-    assert (checkpoint.bank.poses[3] == train_split.episodes[3].poses[0]).all()
+    bank = checkpoint.bank("PickCube")
+    assert len(bank) == 8
+    assert (bank.poses[3] == train_split.episodes[3].poses[0]).all()
 
 
 def test_a_missing_data_set_is_named(tmp_path):
@@ -313,14 +314,14 @@ def test_two_processes_share_the_work(data_folder, tmp_path):
         [sys.executable, *launcher, *options(data_folder, tmp_path, 6)], capture_output=True, text=True, timeout=300
     )
     assert done.returncode == 0, done.stderr[-3000:]
-    checkpoint = load_checkpoint(tmp_path / "checkpoint", "PickCube")
+    checkpoint = load_checkpoint(tmp_path / "checkpoint")
     assert all(p.isfinite().all() for p in checkpoint.model.parameters())
     assert torch.load(tmp_path / "training-state.pt", weights_only=True)["step"] == 6
 
 
 @pytest.mark.parametrize(("points", "rows"), [(0, LAYOUT.points), (6, 24)])
 def test_a_model_of_points_is_trained_on_as_many_as_it_says(windows, monkeypatch, points, rows):
-    model = build_model("gbnd", LAYOUT, 7, CONTROL, {"width": 8, "neighbours": 3, "points": points})
+    model = build_model("gbnd", LAYOUT, CONTROL, {"width": 8, "neighbours": 3, "points": points})
     seen, network = [], model.network
     monkeypatch.setattr(model, "network", lambda *a: seen.append(a[0].shape[1]) or network(*a))
     batch = windows.sample(torch.Generator().manual_seed(0), 2, 2)
