@@ -71,16 +71,16 @@ def test_two_workers_collect_what_one_does(data_config, data_folder, tmp_path):
 
 def test_a_killed_run_resumes_to_the_same_data(data_config, data_folder, tmp_path):
     out = tmp_path / "killed"
-    options = f"--episodes 8 --held-out 0 --shard 2 --workers 1 --out {out}".split()
+    options = f"--episodes 8 --held-out 1 --shard 2 --workers 1 --out {out}".split()
     run = subprocess.Popen(
         [sys.executable, "-m", "pwm_gym", "collect", *options], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
     )
     limit = time.monotonic() + 120
-    while not list(out.glob("*.npz")) and run.poll() is None and time.monotonic() < limit:
+    while not list(out.glob("train-*.npz")) and run.poll() is None and time.monotonic() < limit:
         time.sleep(0.02)
     run.send_signal(signal.SIGKILL)
     assert run.wait() == -signal.SIGKILL
-    whole = {p: p.stat().st_mtime_ns for p in out.glob("*.npz")}
+    whole = {p: p.stat().st_mtime_ns for p in out.glob("train-*.npz")}
     assert 1 <= len(whole) < 4  # killed in the middle
     collect(replace(data_config, out=out, held_out=1), progress=False)
     assert_same(data_folder, out, splits=["train"])
