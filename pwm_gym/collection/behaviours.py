@@ -9,7 +9,7 @@ import numpy as np
 
 from pwm_gym.collection.practice import Practice, uniform
 from pwm_gym.planning import Agent
-from pwm_gym.scene import Scene
+from pwm_gym.scene import Scene, sample_clouds
 from pwm_gym.sim import Simulator
 from pwm_gym.tasks import Task
 
@@ -77,7 +77,6 @@ class OnPolicy:
     Args:
         task: the task.
         agent: plans.
-        clouds: canonical points (N, 3) of the data set.
         seed: of the planner's noise.
         linger: steps that it goes on after success.
     """
@@ -85,14 +84,16 @@ class OnPolicy:
     kind = "on_policy"
     switch = -1
 
-    def __init__(self, task: Task, agent: Agent, clouds: np.ndarray, seed: int, linger: int = 5) -> None:
-        self._task, self._agent, self._clouds, self._linger = task, agent, clouds, linger
+    def __init__(self, task: Task, agent: Agent, seed: int, linger: int = 5) -> None:
+        self._task, self._agent, self._linger = task, agent, linger
+        self._clouds = np.empty((0, 3), np.float32)
         self._seen: deque[np.ndarray] = deque(maxlen=3)  # poses, newest first
         self._last: np.ndarray | None = None
         agent.reset(seed)
 
     def start(self, simulator: Simulator) -> None:
-        """Nothing: planned episodes start where the task says."""
+        """Sample the clouds of the episode's objects; it starts where the task says."""
+        self._clouds = sample_clouds(simulator.meshes(), self._task.layout, self._task.cloud_seed)
 
     def act(self, simulator: Simulator) -> np.ndarray:
         """Next action (A,)."""
