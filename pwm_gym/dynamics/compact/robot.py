@@ -76,8 +76,8 @@ class RobotMotion(nn.Module):
         self.heads = nn.ModuleList(nn.Linear(width, 2 * n if n else 6) for n in sizes)
         self.slide = nn.Linear(width, 1)
         for head in (*self.heads, self.slide):
-            nn.init.zeros_(head.weight)  # type: ignore[arg-type]
-            nn.init.zeros_(head.bias)  # type: ignore[arg-type]
+            nn.init.zeros_(head.weight)
+            nn.init.zeros_(head.bias)
         commands = [c.slice for c in control.of_kind("translation", "rotation")]
         self._commands = [k for part in commands for k in range(part.start, part.stop)]
         self._moving = [e.joint.kind for e in links if e.joint.moves]
