@@ -48,6 +48,11 @@ class Windows:
     def __len__(self) -> int:
         return int((self._left > 0).sum())
 
+    @property
+    def longest(self) -> int:
+        """Steps of the longest episode."""
+        return int(self._left.max())
+
     def _event_steps(self, layout: Layout) -> Tensor:
         """1.0 (F,) where an object moves on its own in the step after the frame."""
         position = self._poses[:, :, :3, 3]

@@ -20,5 +20,5 @@ def upgrade_layout(data: Any) -> Any:
 def _entity(item: dict[str, Any]) -> dict[str, Any]:
     kept: dict[str, Any] = {key: item[key] for key in ("name", "start", "stop") if key in item}
     slider = item.get("slider")
-    joint = {"joint": {"kind": "prismatic", **slider}} if isinstance(slider, dict) else {}
+    joint: dict[str, Any] = {"joint": {"kind": "prismatic", **slider}} if isinstance(slider, dict) else {}
     return {**kept, "driven": item.get("effector", False), **joint}

@@ -237,9 +237,10 @@ def _scale_error(model: Any, sources: Sequence[Windows]) -> None:
     """Scale the expected error so that it is right on average over rollouts."""
     expected, real = 0.0, 0.0
     for windows in sources:
-        batch = windows.sample(torch.Generator().manual_seed(0), _ERROR_WINDOWS, _ERROR_HORIZON)
+        horizon = min(_ERROR_HORIZON, windows.longest)
+        batch = windows.sample(torch.Generator().manual_seed(0), _ERROR_WINDOWS, horizon)
         state = model.prepare(batch.state().coarsen(windows.layout.truncate(_ERROR_POINTS)))
-        for h in range(_ERROR_HORIZON):
+        for h in range(horizon):
             state = model.step(state, batch.actions[:, h])
             expected += float(state.error.mean())
             real += float(_gaps(state, batch.following[:, h]).mean())

@@ -5,6 +5,7 @@ import sys
 import time
 from dataclasses import fields, replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from pwm_gym.data.dataset import SPLITS
 from pwm_gym.data.episodes import read_shard
 from pwm_gym.errors import DatasetError, UnknownNameError
 from pwm_gym.seeds import split_of
+from pwm_gym.tasks import get_task
 
 
 def assert_same(left, right, splits=SPLITS):
@@ -197,6 +199,36 @@ def test_files_that_vanish_meanwhile_are_an_error(copied, monkeypatch, pattern):
     monkeypatch.setattr(sys.modules[collect.__module__], "_run", vanish)
     with pytest.raises(DatasetError, match=r"lost \d+ of \d+ files while it was collected"):
         collect(copied, progress=False)
+
+
+class Waver:
+    """An agent that moves this way and that, and checks what it is shown."""
+
+    def __init__(self, model, task):
+        assert (model, task) == ("model", "PickCube")
+        self.steps = 0
+
+    def reset(self, seed):
+        self.steps = 0
+
+    def act(self, scene):
+        task = get_task(scene.task)
+        scene.validate("PickCube", task.layout, 3)
+        assert np.linalg.norm(scene.clouds[task.layout["cube"].slice], axis=1).max() < 0.04  # half its diagonal
+        assert (scene.last_action is None) == (self.steps == 0)
+        self.steps += 1
+        return np.sin(self.steps + np.arange(7))
+
+
+def test_a_planner_acts_in_episodes_of_its_own(data_config, tmp_path, monkeypatch):
+    module = sys.modules[collect.__module__]
+    monkeypatch.setattr(module, "load_checkpoint", lambda folder: SimpleNamespace(model="model"))
+    monkeypatch.setattr(module, "resolve", lambda checkpoint, task: checkpoint)
+    monkeypatch.setattr(module, "Agent", Waver)
+    config = replace(data_config, out=tmp_path / "set", episodes=2, held_out=1, practice=0.0, on_policy=1.0)
+    for episode in load_split(collect(config, progress=False), "train").episodes:
+        assert KINDS[episode.kind] == "on_policy" and len(episode) == 60
+        np.testing.assert_allclose(episode.actions[3], np.sin(4 + np.arange(7)), rtol=1e-6)
 
 
 @pytest.mark.slow

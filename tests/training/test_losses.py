@@ -250,15 +250,15 @@ def test_the_papers_model_trains_in_the_same_loop(windows, tmp_path):
 
 
 def fit_config(data_folder, out):
-    return FitConfig(data=(data_folder,), out=out, settings=SETTINGS, arm_steps=20)
+    return FitConfig(data=(data_folder,), out=out, settings=SETTINGS, arm_steps=20, error_steps=20)
 
 
 def options(data_folder, out, steps):
     flat = [str(x) for pair in SETTINGS.items() for x in pair]
     given = (
-        f"train --data {data_folder} --out {out} --phases 1 {steps} 16 --validate-every 5 --threads 1 --arm-steps 20"
+        f"train --data {data_folder} --out {out} --phases 1 {steps} 16 --validate-every 5 --threads 1 "
+        "--arm-steps 20 --error-steps 20 --settings"
     )
-    given += " --settings"
     return [*given.split(), *flat]
 
 
