@@ -82,7 +82,7 @@ def load_arrays(
     error: type[PwmGymError],
     form: str = "",
     header: type[_H] = NoHeader,  # type: ignore[assignment]
-    gaps: Collection[str] = (),
+    gaps: Collection[str] | None = (),
 ) -> tuple[dict[str, np.ndarray], _H]:
     """Arrays and header of a file that :func:`save_arrays` wrote.
 
@@ -92,7 +92,7 @@ def load_arrays(
         error: raised then, where the format is another, and where an array holds values that are not finite.
         form: the ``format`` that its header must have; empty expects no header.
         header: dataclass of the header.
-        gaps: names of arrays that may hold values which are not finite.
+        gaps: names of arrays that may hold values which are not finite; None where the caller checks them all.
     """
     try:
         with np.load(path, allow_pickle=False) as file:
@@ -111,7 +111,7 @@ def load_arrays(
     for name, array in arrays.items():
         if array.dtype.kind not in _NUMBERS:
             raise error(f"{path}: {name} has type {array.dtype}; expected numbers")
-        if name not in gaps:
+        if gaps is not None and name not in gaps:
             check_finite(array, f"{path}: {name}", error)
     return arrays, found
 

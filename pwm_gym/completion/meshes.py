@@ -91,7 +91,7 @@ def _read_file(path: Path) -> trimesh.Trimesh:
 
 
 def _archive_readers(path: Path) -> dict[str, Callable[[], trimesh.Trimesh]]:
-    arrays, _ = load_arrays(path, f"is no readable .npz archive; expected {_EXPECTED}", PwmGymError)
+    arrays, _ = load_arrays(path, f"is no readable .npz archive; expected {_EXPECTED}", PwmGymError, gaps=None)
     names = {key.rpartition("/")[0] for key in arrays}
     foreign = sorted(arrays.keys() ^ {f"{name}/{part}" for name in names for part in "vf"})
     if foreign:
