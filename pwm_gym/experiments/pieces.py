@@ -7,6 +7,7 @@ import json
 import multiprocessing as mp
 import time
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -79,8 +80,14 @@ def _finished(missing: list[tuple[Piece, str | None]], workers: int) -> Iterator
     if workers <= 1 or len(missing) <= 1:
         yield from map(_make, missing)
         return
-    with mp.get_context("spawn").Pool(min(workers, len(missing))) as pool:
-        yield from pool.imap_unordered(_make, missing)
+    # An executor, since a pool waits for ever where one of its processes dies.
+    with ProcessPoolExecutor(min(workers, len(missing)), mp_context=mp.get_context("spawn")) as pool:
+        futures = [pool.submit(_make, job) for job in missing]
+        try:
+            for future in as_completed(futures):
+                yield future.result()
+        finally:
+            pool.shutdown(cancel_futures=True)
 
 
 def _make(job: tuple[Piece, str | None]) -> tuple[str, float]:

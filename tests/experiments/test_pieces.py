@@ -1,3 +1,6 @@
+import importlib
+import sys
+from concurrent.futures.process import BrokenProcessPool
 from functools import partial
 
 import pytest
@@ -5,6 +8,8 @@ import pytest
 from pwm_gym.errors import PwmGymError
 from pwm_gym.experiments.pieces import Piece, run_pieces
 
+WORK = """
+import os
 
 def make(value, folder):
     folder.mkdir(parents=True, exist_ok=True)
@@ -12,13 +17,28 @@ def make(value, folder):
         file.write("x")
     return {"value": value}
 
+def die(value, folder):
+    os._exit(1)
+"""
 
-def pieces(out, recipes="abc"):
-    return [Piece(f"piece {r}", "kind", r, out, partial(make, r)) for r in recipes]
+
+@pytest.fixture
+def pieces(tmp_path_factory, monkeypatch):
+    """``pieces(out, recipes, work)``: pieces of a module that processes of their own can import, too."""
+    folder = tmp_path_factory.mktemp("work")
+    (folder / "piecework.py").write_text(WORK)
+    monkeypatch.syspath_prepend(folder)
+    module = importlib.import_module("piecework")
+
+    def make(out, recipes="abc", work="make"):
+        return [Piece(f"piece {r}", "kind", r, out, partial(getattr(module, work), r)) for r in recipes]
+
+    yield make
+    sys.modules.pop("piecework")
 
 
 @pytest.mark.parametrize("workers", [1, 2])
-def test_missing_pieces_are_made_and_told(tmp_path, workers):
+def test_missing_pieces_are_made_and_told(pieces, tmp_path, workers):
     lines = []
     results = run_pieces(pieces(tmp_path, "ab"), workers, lines.append)
     assert [r["value"] for r in results] == ["a", "b"] and all("commit" in r for r in results)
@@ -27,7 +47,7 @@ def test_missing_pieces_are_made_and_told(tmp_path, workers):
     assert [x.split("]")[0] for x in lines[1:]] == ["[1/2", "[2/2"]
 
 
-def test_what_is_there_is_kept_and_shared(tmp_path):
+def test_what_is_there_is_kept_and_shared(pieces, tmp_path):
     run_pieces(pieces(tmp_path, "a"))
     lines = []
     results = run_pieces(pieces(tmp_path, "abb"), tell=lines.append)
@@ -37,9 +57,14 @@ def test_what_is_there_is_kept_and_shared(tmp_path):
     run_pieces(pieces(tmp_path, "ab"), tell=pytest.fail)
 
 
-def test_a_damaged_result_is_named(tmp_path):
+def test_a_damaged_result_is_named(pieces, tmp_path):
     (piece,) = pieces(tmp_path, "a")
     run_pieces([piece])
     piece.result.write_text("{")
     with pytest.raises(PwmGymError, match=r"result\.json is no result .* delete it to make it again"):
         run_pieces([piece])
+
+
+def test_a_process_that_dies_ends_the_run(pieces, tmp_path):
+    with pytest.raises(BrokenProcessPool):
+        run_pieces(pieces(tmp_path, "ab", "die"), 2, lambda line: None)
