@@ -18,13 +18,14 @@ from pwm_gym.data.dataset import Dataset, load_split, read_header
 from pwm_gym.data.episodes import KINDS
 from pwm_gym.data.partial import PartialWindows, visible_split
 from pwm_gym.data.windows import Windows, mixed
-from pwm_gym.dynamics.checkpoint import SceneBank, save_checkpoint, use_device
+from pwm_gym.dynamics.checkpoint import SceneBank, load_checkpoint, resolve, save_checkpoint, use_device
 from pwm_gym.dynamics.model import WorldModel
 from pwm_gym.dynamics.protocols import FitsResponse, LearnsError, Transitions
 from pwm_gym.dynamics.registry import build_model
-from pwm_gym.errors import DatasetError, unknown_name
+from pwm_gym.errors import DatasetError, PwmGymError, unknown_name
 from pwm_gym.learning import Clock, has_state, is_main_process
-from pwm_gym.tasks import get_task
+from pwm_gym.scene import Layout
+from pwm_gym.tasks import Task, get_task
 from pwm_gym.training.losses import TrainConfig, train
 
 __all__ = ["BANK", "FitConfig", "fit", "fit_baseline", "fit_error", "fit_response", "load_sources", "scene_bank"]
@@ -61,6 +62,9 @@ class FitConfig:
     """Train on so many episodes, evenly chosen; 0 takes all."""
     kinds: tuple[str, ...] = ()
     """Train on these kinds of episodes alone; none given takes all."""
+    init: str = ""
+    """Checkpoint (a folder or a shipped one's name) whose weights, the fitted responses included, training starts from
+    instead of fresh ones; ``model`` and ``settings`` are then its own."""
     arm_steps: int = 6000
     """Optimiser steps, before training begins, on the response of a known arm's joints."""
     error_steps: int = 3000
@@ -97,20 +101,21 @@ def fit(config: FitConfig, training: TrainConfig, validate: Validate, progress: 
     clock = Clock()
     torch.set_num_threads(training.threads)  # before the fits: sums depend on it, and a resumed run must find the same
     torch.manual_seed(training.seed)
-    model = build_model(config.model, sources[0].layout, tasks[0].control, config.settings)
-    if not has_state(out):  # a resumed run reads what was fitted
+    kind, model = _fresh(config, sources[0].layout, tasks[0])
+    if not has_state(out) and not config.init:  # a resumed run reads what was fitted
         fit_response(model, sources, config.arm_steps)
     checkpoint = out / "checkpoint"
     description: dict[str, Any] = {
         "config": json.loads(json.dumps(asdict(training), default=str)),
         "data": _describe(config, sources),
         "windows_boost": config.boost,
+        "init": config.init,
     }
     banks = [scene_bank(dataset) for dataset in sources]
 
     def save(trained: nn.Module, metrics: dict[str, float]) -> None:
         description.update(clock.spent())
-        save_checkpoint(checkpoint, trained, config.model, banks, description, {"validation": metrics})
+        save_checkpoint(checkpoint, trained, kind, banks, description, {"validation": metrics})
 
     def measure(trained: Any) -> dict[str, float]:
         if len(held_out) == 1:
@@ -123,6 +128,23 @@ def fit(config: FitConfig, training: TrainConfig, validate: Validate, progress: 
         fit_error(model, sources, config.error_steps)
         save(model, metrics or measure(model))  # a resumed run may have had nothing left to train
     return checkpoint
+
+
+def _fresh(config: FitConfig, layout: Layout, task: Task) -> tuple[str, Any]:
+    """Kind of model, and the model that training starts from.
+
+    Raises:
+        UnknownNameError: there is no checkpoint of the name ``init``.
+        CheckpointError: that checkpoint is of another robot.
+        PwmGymError: settings beside ``init``, which has its own.
+    """
+    if not config.init:
+        return config.model, build_model(config.model, layout, task.control, config.settings)
+    if config.settings:
+        raise PwmGymError(f"settings={config.settings} beside init={config.init!r}; expected none: it has its own")
+    checkpoint = load_checkpoint(resolve(config.init, task.name))
+    checkpoint.check_robot(layout, task.control)
+    return checkpoint.kind, cast("nn.Module", checkpoint.model).train().requires_grad_()
 
 
 def _windows(config: FitConfig, sources: list[Dataset], held_out: list[Dataset]) -> tuple[Batches, np.ndarray | None]:

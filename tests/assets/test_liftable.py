@@ -9,7 +9,7 @@ from pwm_gym.errors import PwmGymError
 def test_the_record_agrees_with_itself():
     record = liftable.liftable_record()
     rows = record["objects"]
-    assert set(rows) <= set(YCB_OBJECTS)
+    assert set(rows) <= set(YCB_OBJECTS) and len(rows) == 58
     for name, row in rows.items():
         assert len(row["steps"]) == record["settings"]["tries"]
         assert row["successes"] == sum(step is not None for step in row["steps"])
@@ -21,6 +21,7 @@ def test_most_objects_can_be_lifted_and_wide_ones_cannot():
     found = liftable.liftable_objects()
     assert "003_cracker_box" in found and "036_wood_block" not in found
     assert set(liftable.liftable_objects(5)) < set(found)
+    assert sum(is_unseen(name) for name in found) == 8
     summary = liftable.liftable_record()["summary"]
     assert summary["liftable"] > 0.75 * summary["objects"] and summary["success_of_liftable"] > 0.9
 
