@@ -10,12 +10,17 @@ import torch
 from torch import Tensor
 
 __all__ = [
+    "PAD_END",
+    "PAD_HALF_WIDTH",
+    "along",
     "centre",
-    "corridor_gaps",
+    "closing",
     "crushed",
     "finger_gaps",
     "fingers_apart",
+    "fingers_axis",
     "firmness",
+    "forward",
     "middle",
     "near_and_shut",
     "once",
@@ -26,19 +31,20 @@ __all__ = [
     "stopped",
     "tool_centre",
     "tool_distance",
-    "width_across",
     "width_between",
 ]
 
 Points = Mapping[str, Tensor]
 P = ParamSpec("P")
 
+PAD_HALF_WIDTH, PAD_END = 0.014, 0.012
+"""Metres that the fingers' pads reach to either side of the tool centre, and beyond it."""
+
 _TOOL_RATIO = 0.355  # (tool - fingers) / (fingers - hand) along the Panda hand's axis, of its collision meshes
 _CLOSE = 0.025  # the paper's grasp distance
 # Metres. ManiSkill's pads sink 0.3 mm (half shut) to 2.8 mm into an object that they hold, and 8 mm into the width of a
 # corner; a model may see it 2 mm nearer to one pad.
 _DEEPEST, _LOOSEST, _PRESSED = -0.008, 0.001, -0.0005
-_PAD_HALF_WIDTH, _PAD_END = 0.014, 0.012  # of the fingers' pads: to either side of the tool centre, and beyond it
 _HELD = 0.036  # how far from an object's centre its corner can be held
 _SPARSE, _STOPPED = 0.005, 0.0005  # metres, and metres a step: of a grasp on an object whose points lie far apart
 _HALF_SHUT = 0.2  # a gripper commanded below this shuts on an object of 4 cm
@@ -91,81 +97,54 @@ def finger_gaps(points: Points, name: str) -> Tensor:
 
     Zero: touching. Slightly negative: pressing. More: the finger is past that side, beside or above the object.
     """
-    axis = _fingers_axis(points)
-    along = _along(points[name], axis)
-    return _gaps(points, axis, along.amin(-1), along.amax(-1))
+    axis = fingers_axis(points)
+    places = along(points[name], axis)
+    return _gaps(points, axis, places.amin(-1), places.amax(-1))
 
 
 @once
 def pad_gaps(points: Points, name: str) -> Tensor:
     """Gaps (B, 2) as :func:`finger_gaps`, to that part of the object which is between the fingers' pads.
 
-    Huge where no part is.
+    Huge where no part is. What of a bowl, say, lies beyond a finger is not between them.
     """
-    tool = tool_centre(points)
-    offset = points[name] - tool.unsqueeze(-2)
-    reached = _along(offset, _forward(points)) <= _PAD_END
-    lowest, highest = _extent(points, name, tool, reached)
-    return _gaps(points, _fingers_axis(points), lowest, highest)
+    axis, places = fingers_axis(points), along(points[name], fingers_axis(points))
+    left, right = (along(centre(points, f).unsqueeze(-2), axis) for f in ("left_gripper", "right_gripper"))
+    offset = points[name] - tool_centre(points).unsqueeze(-2)
+    ahead = along(offset, forward(points)) <= PAD_END
+    beside = along(offset, torch.cross(axis, forward(points), dim=-2)).abs() <= PAD_HALF_WIDTH
+    between = ahead & beside & (places >= right) & (places <= left)
+    lowest, highest = places.where(between, 1e3).amin(-1), places.where(between, -1e3).amax(-1)
+    return _gaps(points, axis, lowest, highest)
 
 
 @once
-def corridor_gaps(points: Points, name: str) -> Tensor:
-    """Gaps (B, 2) as :func:`pad_gaps`, to whatever of the object the pads would meet at any height."""
-    lowest, highest = _extent(points, name, tool_centre(points))
-    return _gaps(points, _fingers_axis(points), lowest, highest)
-
-
-def width_across(points: Points, name: str, place: Tensor) -> Tensor:
-    """Width (B,) along the fingers' axis of what the pads would span if the tool were at ``place`` (B, 3)."""
-    lowest, highest = _extent(points, name, place)
-    return (highest - lowest).clamp_min(0.0)
-
-
-def _forward(points: Points) -> Tensor:
+def forward(points: Points) -> Tensor:
     """Unit vector (B, 3, 1) from the hand to the finger tips."""
-    forward = tool_centre(points) - centre(points, "hand")
-    return (forward / forward.norm(dim=-1, keepdim=True).clamp_min(1e-6)).unsqueeze(-1)
-
-
-def _extent(points: Points, name: str, place: Tensor, chosen: Tensor | None = None) -> tuple[Tensor, Tensor]:
-    """How far (B,), (B,) the object reaches along the fingers' axis beside a tool at ``place`` (B, 3).
-
-    Args:
-        points: clouds.
-        name: the object.
-        place: of the tool.
-        chosen: bool (B, n), which of the object's points may count.
-    """
-    axis = _fingers_axis(points)
-    sideways = torch.cross(axis, _forward(points), dim=-2)
-    counts = _along(points[name] - place.unsqueeze(-2), sideways).abs() <= _PAD_HALF_WIDTH
-    if chosen is not None:
-        counts = counts & chosen
-    along = _along(points[name], axis)
-    return along.where(counts, 1e3).amin(-1), along.where(counts, -1e3).amax(-1)
+    way = tool_centre(points) - centre(points, "hand")
+    return (way / way.norm(dim=-1, keepdim=True).clamp_min(1e-6)).unsqueeze(-1)
 
 
 def _gaps(points: Points, axis: Tensor, lowest: Tensor, highest: Tensor) -> Tensor:
     """Gaps (B, 2) of both fingers to what reaches from ``lowest`` to ``highest`` (B,) along their axis (B, 3, 1)."""
-    left, right = (_along(points[finger], axis) for finger in ("left_gripper", "right_gripper"))
+    left, right = (along(points[finger], axis) for finger in ("left_gripper", "right_gripper"))
     return torch.stack([left.amin(-1) - highest, lowest - right.amax(-1)], -1)
 
 
 def width_between(points: Points, name: str) -> Tensor:
     """Extent (B,) of an object along the fingers' axis: what the fingers have to span."""
-    along = _along(points[name], _fingers_axis(points))
-    return along.amax(-1) - along.amin(-1)
+    places = along(points[name], fingers_axis(points))
+    return places.amax(-1) - places.amin(-1)
 
 
 @once
-def _fingers_axis(points: Points) -> Tensor:
+def fingers_axis(points: Points) -> Tensor:
     """Unit vector (B, 3, 1) from the right finger's centre to the left one's."""
     axis = centre(points, "left_gripper") - centre(points, "right_gripper")
     return (axis / axis.norm(dim=-1, keepdim=True).clamp_min(1e-6)).unsqueeze(-1)
 
 
-def _along(points: Tensor, axis: Tensor) -> Tensor:
+def along(points: Tensor, axis: Tensor) -> Tensor:
     """Coordinates (B, n) of points (B, n, 3) along an axis (B, 3, 1)."""
     return (axis.transpose(-1, -2) @ points.transpose(-1, -2)).squeeze(-2)
 
@@ -190,14 +169,14 @@ def stopped(points: Points, velocity: Points, action: Tensor, name: str) -> Tens
     As :func:`pinched` for an object of any shape, whose sides few points tell to a millimetre, held anywhere.
     """
     between = (pad_gaps(points, name) <= _SPARSE).all(-1)
-    closing = _closing(points, velocity).abs() <= _STOPPED
-    return between & closing & (action[..., -1] < _HALF_SHUT)
+    slow = closing(points, velocity).abs() <= _STOPPED
+    return between & slow & (action[..., -1] < _HALF_SHUT)
 
 
-def _closing(points: Points, velocity: Points) -> Tensor:
+def closing(points: Points, velocity: Points) -> Tensor:
     """How much (B,) nearer the fingers have come to each other in the last step, metres."""
     apart = velocity["left_gripper"].mean(-2) - velocity["right_gripper"].mean(-2)
-    return -(apart.unsqueeze(-2) @ _fingers_axis(points)).flatten(-2).squeeze(-1)
+    return -(apart.unsqueeze(-2) @ fingers_axis(points)).flatten(-2).squeeze(-1)
 
 
 @once

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from pwm_gym.costs import contacts
 from pwm_gym.costs.contacts import Points
+from pwm_gym.costs.grips import finger_overlap, grip
 from pwm_gym.costs.motion import joint_speed, speed
 from pwm_gym.costs.terms import Info, Place, Term
 from pwm_gym.robots.speeds import JointSpeeds
@@ -31,7 +32,7 @@ __all__ = [
     "still",
 ]
 
-_FINGER_LENGTH = 0.03  # metres below an object's top where the tool can hold it with the hand above it
+_TOUCHING, _STOPPED = 0.005, 0.0008  # metres, and metres a step: of fingers that an object has stopped
 _OFF_PLACE = 0.02  # metres between tool and grip place within which the fingers may shut
 _NARROW, _WIDE = 0.03, 0.08  # metres: a width that fits well, and the open Panda gripper's
 
@@ -95,17 +96,9 @@ def still(arm: JointSpeeds, reached: Term) -> Term:
 
 
 @contacts.once
-def _grip_place(points: Points, name: str) -> Tensor:
-    """Where (B, 3) the tool would hold the object: at its centre, or not far below the top of a tall one."""
-    centre = contacts.centre(points, name)
-    height = torch.maximum(centre[..., 2], points[name][..., 2].amax(-1) - _FINGER_LENGTH)
-    return torch.cat([centre[..., :2], height.unsqueeze(-1)], -1)
-
-
-@contacts.once
 def _off_place(points: Points, name: str) -> Tensor:
-    """Distance (B,) from the tool to the grip place."""
-    return (contacts.tool_centre(points) - _grip_place(points, name)).norm(dim=-1)
+    """Distance (B,) from the tool to where it would hold the object."""
+    return (contacts.tool_centre(points) - grip(points, name).place).norm(dim=-1)
 
 
 @contacts.once
@@ -115,15 +108,15 @@ def _outside(points: Points, name: str) -> Tensor:
 
 
 @contacts.once
-def _pressing(points: Points, name: str) -> Tensor:
-    """Soft bool (B,): both pads touch what is between them, and neither is deep in it."""
-    gaps = contacts.pad_gaps(points, name)
-    return torch.sigmoid((0.003 - gaps.amax(-1)) / 0.001) * torch.sigmoid((gaps.amin(-1) + 0.010) / 0.001)
+def _touching(points: Points, name: str) -> Tensor:
+    """Soft bool (B,): both pads touch what is between them."""
+    return torch.sigmoid((_TOUCHING - contacts.pad_gaps(points, name).amax(-1)) / 0.0015)
 
 
 def _firmness(points: Points, info: Info, name: str) -> Tensor:
-    """Soft bool (B,): a shutting gripper holds the object."""
-    return _pressing(points, name) * (info["action"][..., -1] < 0)
+    """Soft form (B,) of :func:`pwm_gym.costs.contacts.stopped`."""
+    slow = torch.sigmoid((_STOPPED - contacts.closing(points, info["velocity"]).abs()) / 0.0003)
+    return _touching(points, name) * slow * (info["action"][..., -1] < 0)
 
 
 def approach(name: str) -> Term:
@@ -140,7 +133,7 @@ def premature_close(name: str) -> Term:
     """Shut before the object is between the fingers."""
 
     def term(points: Points, info: Info) -> Tensor:
-        shut = (info["action"][..., -1] < 0) * (1 - _pressing(points, name))
+        shut = (info["action"][..., -1] < 0) * (1 - _touching(points, name))
         return shut * _outside(points, name)
 
     return term
@@ -150,20 +143,19 @@ def finger_blocking(name: str) -> Term:
     """Fingers at the object's height over or in it: coming down, they would push it."""
 
     def term(points: Points, info: Info) -> Tensor:
-        height = contacts.tool_centre(points)[..., 2] - _grip_place(points, name)[..., 2]
+        height = contacts.tool_centre(points)[..., 2] - grip(points, name).place[..., 2]
         depth = ((0.05 - height) / 0.05).clamp(0, 1)
-        blocked = torch.sigmoid((0.002 - contacts.corridor_gaps(points, name).amin(-1)) / 0.002)
-        return blocked * depth * _outside(points, name)
+        return finger_overlap(points, name) * depth * _outside(points, name)
 
     return term
 
 
 def misalignment(name: str) -> Term:
-    """Width that the fingers have to span at the grip place: 0 up to 3 cm, 1 where it is the open gripper's."""
+    """How ill the open fingers fit at the best place: its misfit, and its width from 3 cm up to the open gripper's."""
 
     def term(points: Points, info: Info) -> Tensor:
-        width = contacts.width_across(points, name, _grip_place(points, name))
-        return ((width - _NARROW) / (_WIDE - _NARROW)).clamp(0, 1.5)
+        best = grip(points, name)
+        return best.misfit + ((best.width - _NARROW) / (_WIDE - _NARROW)).clamp(0, 1)
 
     return term
 

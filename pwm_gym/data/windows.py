@@ -25,7 +25,8 @@ class Windows:
     Args:
         dataset: a split.
         boost: how much likelier a window is drawn in which an object moves, but not with the end effector
-            (pushes, drops and releases: rare, and most of an object's error).
+            (pushes, drops and releases: rare, and most of an object's error); where several objects do so in one step
+            (one pushes another: rarer still), as much again.
     """
 
     def __init__(self, dataset: Dataset, boost: float = 1.0) -> None:
@@ -41,7 +42,8 @@ class Windows:
         self._first = torch.as_tensor(np.repeat(starts, lengths + 1))  # of each frame's episode
         last = np.repeat(starts + lengths, lengths + 1)
         self._left = torch.as_tensor(last) - torch.arange(len(last))  # transitions after each frame
-        self._events = torch.cat([torch.zeros(1), self._event_steps(dataset.layout).cumsum(0)])
+        moving = self._moving_alone(dataset.layout)
+        self._events = [torch.cat([torch.zeros(1), (moving >= least).float().cumsum(0)]) for least in (1, 2)]
         self._boost = boost
         self._tables: dict[int, tuple[Tensor, Tensor]] = {}
 
@@ -53,8 +55,8 @@ class Windows:
         """Steps of the longest episode."""
         return int(self._left.max())
 
-    def _event_steps(self, layout: Layout) -> Tensor:
-        """1.0 (F,) where an object moves on its own in the step after the frame."""
+    def _moving_alone(self, layout: Layout) -> Tensor:
+        """Number (F,) of objects that move on their own in the step after the frame."""
         position = self._poses[:, :, :3, 3]
         move = torch.zeros_like(position)
         move[:-1] = position[1:] - position[:-1]
@@ -63,7 +65,7 @@ class Windows:
         own = motion.norm(dim=-1)
         for hand in layout.hands:  # what moves as a hand does is carried by it
             own = torch.minimum(own, (motion - move[:, hand, None]).norm(dim=-1))
-        return ((own > _STILL).any(1) & (self._left > 0)).float()
+        return (own > _STILL).sum(1) * (self._left > 0)
 
     def _table(self, horizon: int) -> tuple[Tensor, Tensor]:
         """Frames that have ``horizon`` steps after them, and their cumulative weights."""
@@ -71,8 +73,8 @@ class Windows:
             frames = torch.nonzero(self._left >= horizon).squeeze(1)
             if not len(frames):
                 raise DatasetError(f"no episode is {horizon} steps long")
-            eventful = (self._events[frames + horizon] - self._events[frames]) > 0
-            weights = 1.0 + (self._boost - 1.0) * eventful.double()
+            kinds = [(events[frames + horizon] - events[frames]) > 0 for events in self._events]
+            weights = self._boost ** torch.stack(kinds).double().sum(0)
             self._tables[horizon] = frames, weights.cumsum(0)
         return self._tables[horizon]
 

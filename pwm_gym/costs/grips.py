@@ -1,0 +1,97 @@
+"""Where a parallel gripper that comes from above could hold an object of any shape, told from points alone.
+
+Places on the object and its centre are tried with the fingers as they are turned: what of the object lies between the
+open fingers there, what is in the fingers' way, how far off the centre it is. Lengths are in metres, frames the robot
+base's.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from pwm_gym.costs import contacts
+from pwm_gym.costs.contacts import Points, along, once
+
+__all__ = ["Grip", "finger_overlap", "grip"]
+
+_POINTS, _PLACES = 96, 16  # of an object's cloud, the first of which are well spread: what is looked at, and tried
+_FINGER_LENGTH = 0.03  # below an object's top where the tool can hold it with the hand above it
+_OPEN, _OUTER = 0.036, 0.068  # from the tool to an open finger's inner and outer side
+_MARGIN = 0.004  # within which a point begins to be in a finger's way
+_NOTHING = 0.5  # cost of a place with nothing between the fingers; 1 is a finger that is in the way
+_OFF_CENTRE, _FAR = 0.15, 0.5  # from the object's centre, and from the tool, that cost as much as a finger in the way
+
+
+@dataclass(frozen=True)
+class Grip:
+    """The best place to hold an object at, for the fingers' present turn."""
+
+    place: Tensor
+    """Tool centre (B, 3)."""
+    width: Tensor
+    """Width (B,) of what would be between the fingers."""
+    misfit: Tensor
+    """0 (B,) where open fingers fit beside it, 1 where one is in the way, 0.5 where nothing would be held."""
+
+
+@once
+def grip(points: Points, name: str) -> Grip:
+    """Best place to hold the object ``name`` at, of those that are tried."""
+    cloud, centre = points[name][..., :_POINTS, :], contacts.centre(points, name)
+    tried = torch.cat([centre.unsqueeze(-2), cloud[..., :_PLACES, :]], -2)  # (B, K, 3)
+    height = _height(points, name)
+    counts = _counts(cloud, height)
+    axis, sideways = _directions(points)
+    across = along(tried, axis).unsqueeze(-1) - along(cloud, axis).unsqueeze(-2)  # (B, K, n)
+    beside = (along(tried, sideways).unsqueeze(-1) - along(cloud, sideways).unsqueeze(-2)).abs()
+    reached = (beside <= contacts.PAD_HALF_WIDTH) & counts.unsqueeze(-2)
+    distance = across.abs()
+    in_way = ((distance - _OPEN) / _MARGIN).clamp(0.0, 1.0) * ((_OUTER - distance) / _MARGIN).clamp(0.0, 1.0)
+    between = reached & (distance <= _OPEN)
+    misfit = (in_way * reached).amax(-1) + _NOTHING * ~between.any(-1)
+    tool = contacts.tool_centre(points)
+    off_centre = (tried - centre.unsqueeze(-2))[..., :2].norm(dim=-1)
+    way = (tried - tool.unsqueeze(-2))[..., :2].norm(dim=-1)
+    best = (misfit + off_centre / _OFF_CENTRE + way / _FAR).argmin(-1, keepdim=True)  # (B, 1)
+    spread = across.gather(-2, best.unsqueeze(-1).expand(-1, -1, across.shape[-1])).squeeze(-2)
+    held = between.gather(-2, best.unsqueeze(-1).expand(-1, -1, across.shape[-1])).squeeze(-2)
+    low, high = spread.where(held, 1e3).amin(-1), spread.where(held, -1e3).amax(-1)
+    width = (high - low).clamp_min(0.0)
+    found = tried.gather(-2, best.unsqueeze(-1).expand(-1, -1, 3)).squeeze(-2)
+    middle = torch.where(held.any(-1), 0.5 * (low + high), 0.0).unsqueeze(-1)
+    place = found - middle * axis.squeeze(-1)  # amid what is between the fingers
+    return Grip(torch.cat([place[..., :2], height.unsqueeze(-1)], -1), width, misfit.gather(-1, best).squeeze(-1))
+
+
+def finger_overlap(points: Points, name: str) -> Tensor:
+    """How much (B,) a finger that came down where it is would hit the object, in [0, 1]."""
+    cloud = points[name]
+    axis, sideways = _directions(points)
+    beside = along(cloud - contacts.tool_centre(points).unsqueeze(-2), sideways).abs() <= contacts.PAD_HALF_WIDTH
+    counts = beside & _counts(cloud, _height(points, name))
+    places, most = along(cloud, axis), []
+    for finger in ("left_gripper", "right_gripper"):
+        reach = along(points[finger], axis)
+        inner, outer = reach.amin(-1, keepdim=True), reach.amax(-1, keepdim=True)
+        depth = torch.minimum(places - inner, outer - places) + _MARGIN
+        most.append(((depth / _MARGIN).clamp(0.0, 1.0) * counts).amax(-1))
+    return torch.maximum(*most)
+
+
+def _height(points: Points, name: str) -> Tensor:
+    """Height (B,) of the tool: the object's centre, or not far below the top of a tall one."""
+    return torch.maximum(contacts.centre(points, name)[..., 2], points[name][..., 2].amax(-1) - _FINGER_LENGTH)
+
+
+def _counts(cloud: Tensor, height: Tensor) -> Tensor:
+    """Bool (B, n): points that fingers with the tool at ``height`` (B,) reach."""
+    return cloud[..., 2] >= height.unsqueeze(-1) - contacts.PAD_END
+
+
+def _directions(points: Points) -> tuple[Tensor, Tensor]:
+    """Unit vectors (B, 3, 1) along which the fingers move, and across that and their length."""
+    axis = contacts.fingers_axis(points)
+    return axis, torch.cross(axis, contacts.forward(points), dim=-2)
