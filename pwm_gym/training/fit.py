@@ -144,7 +144,9 @@ def _fresh(config: FitConfig, layout: Layout, task: Task) -> tuple[str, Any]:
         raise PwmGymError(f"settings={config.settings} beside init={config.init!r}; expected none: it has its own")
     checkpoint = load_checkpoint(resolve(config.init, task.name))
     checkpoint.check_robot(layout, task.control)
-    return checkpoint.kind, cast("nn.Module", checkpoint.model).train().requires_grad_()
+    model = build_model(checkpoint.kind, layout, task.control, checkpoint.description["config"])
+    cast("nn.Module", model).load_state_dict(cast("nn.Module", checkpoint.model).state_dict())
+    return checkpoint.kind, model
 
 
 def _windows(config: FitConfig, sources: list[Dataset], held_out: list[Dataset]) -> tuple[Batches, np.ndarray | None]:
