@@ -34,7 +34,8 @@ class Grip:
     width: Tensor
     """Width (B,) of what would be between the fingers."""
     misfit: Tensor
-    """0 (B,) where open fingers fit beside it, 1 where one is in the way, 0.5 where nothing would be held."""
+    """How ill (B,) open fingers fit there: 1 where one is in the way, 0.5 where nothing would be held, and 1 for each
+    15 cm off the object's centre."""
 
 
 @once
@@ -51,19 +52,18 @@ def grip(points: Points, name: str) -> Grip:
     distance = across.abs()
     in_way = ((distance - _OPEN) / _MARGIN).clamp(0.0, 1.0) * ((_OUTER - distance) / _MARGIN).clamp(0.0, 1.0)
     between = reached & (distance <= _OPEN)
-    misfit = (in_way * reached).amax(-1) + _NOTHING * ~between.any(-1)
-    tool = contacts.tool_centre(points)
     off_centre = (tried - centre.unsqueeze(-2))[..., :2].norm(dim=-1)
-    way = (tried - tool.unsqueeze(-2))[..., :2].norm(dim=-1)
-    best = (misfit + off_centre / _OFF_CENTRE + way / _FAR).argmin(-1, keepdim=True)  # (B, 1)
-    spread = across.gather(-2, best.unsqueeze(-1).expand(-1, -1, across.shape[-1])).squeeze(-2)
-    held = between.gather(-2, best.unsqueeze(-1).expand(-1, -1, across.shape[-1])).squeeze(-2)
-    low, high = spread.where(held, 1e3).amin(-1), spread.where(held, -1e3).amax(-1)
-    width = (high - low).clamp_min(0.0)
+    misfit = (in_way * reached).amax(-1) + _NOTHING * ~between.any(-1) + off_centre / _OFF_CENTRE  # (B, K)
+    way = (tried - contacts.tool_centre(points).unsqueeze(-2))[..., :2].norm(dim=-1)
+    best = (misfit + way / _FAR).argmin(-1, keepdim=True)  # (B, 1)
     found = tried.gather(-2, best.unsqueeze(-1).expand(-1, -1, 3)).squeeze(-2)
+    chosen = best.unsqueeze(-1).expand(-1, -1, across.shape[-1])
+    spread, held = across.gather(-2, chosen).squeeze(-2), between.gather(-2, chosen).squeeze(-2)  # (B, n)
+    low, high = spread.where(held, 1e3).amin(-1), spread.where(held, -1e3).amax(-1)
     middle = torch.where(held.any(-1), 0.5 * (low + high), 0.0).unsqueeze(-1)
     place = found - middle * axis.squeeze(-1)  # amid what is between the fingers
-    return Grip(torch.cat([place[..., :2], height.unsqueeze(-1)], -1), width, misfit.gather(-1, best).squeeze(-1))
+    place = torch.cat([place[..., :2], height.unsqueeze(-1)], -1)
+    return Grip(place, (high - low).clamp_min(0.0), misfit.gather(-1, best).squeeze(-1))
 
 
 def finger_overlap(points: Points, name: str) -> Tensor:

@@ -34,7 +34,7 @@ __all__ = [
 
 _TOUCHING, _STOPPED = 0.005, 0.0008  # metres, and metres a step: of fingers that an object has stopped
 _OFF_PLACE = 0.02  # metres between tool and grip place within which the fingers may shut
-_NARROW, _WIDE = 0.03, 0.08  # metres: a width that fits well, and the open Panda gripper's
+_NARROW, _WIDE = 0.05, 0.08  # metres: a width that fits well, and the open Panda gripper's
 
 
 # A simulator's shaped rewards -------------------------------------------------------------------------------------
@@ -151,7 +151,7 @@ def finger_blocking(name: str) -> Term:
 
 
 def misalignment(name: str) -> Term:
-    """How ill the open fingers fit at the best place: its misfit, and its width from 3 cm up to the open gripper's."""
+    """How ill the open fingers fit at the best place: its misfit, and its width from 5 cm up to the open gripper's."""
 
     def term(points: Points, info: Info) -> Tensor:
         best = grip(points, name)
