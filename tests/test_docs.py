@@ -43,7 +43,7 @@ def test_a_task_of_ones_own_is_one_short_file(monkeypatch, tmp_path):
             registry.update(before)
 
 
-@pytest.mark.parametrize("name", ["generate", "generate_results"])
+@pytest.mark.parametrize("name", ["generate", "generate_tasks", "generate_results"])
 def test_generated_pages_are_up_to_date(name):
     spec = importlib.util.spec_from_file_location(name, ROOT / "docs" / f"{name}.py")
     module = importlib.util.module_from_spec(spec)
