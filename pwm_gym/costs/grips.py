@@ -17,7 +17,7 @@ from pwm_gym.costs.contacts import Points, along, once
 
 __all__ = ["Grip", "finger_overlap", "grip"]
 
-_POINTS, _PLACES = 96, 16  # of an object's cloud, the first of which are well spread: what is looked at, and tried
+_POINTS, _PLACES = 80, 12  # of an object's cloud, the first of which are well spread: what is looked at, and tried
 _FINGER_LENGTH = 0.03  # below an object's top where the tool can hold it with the hand above it
 _OPEN, _OUTER = 0.036, 0.068  # from the tool to an open finger's inner and outer side
 _MARGIN = 0.004  # within which a point begins to be in a finger's way
@@ -68,7 +68,7 @@ def grip(points: Points, name: str) -> Grip:
 
 def finger_overlap(points: Points, name: str) -> Tensor:
     """How much (B,) a finger that came down where it is would hit the object, in [0, 1]."""
-    cloud = points[name]
+    cloud = points[name][..., :_POINTS, :]
     axis, sideways = _directions(points)
     beside = along(cloud - contacts.tool_centre(points).unsqueeze(-2), sideways).abs() <= contacts.PAD_HALF_WIDTH
     counts = beside & _counts(cloud, _height(points, name))
