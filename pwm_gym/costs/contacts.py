@@ -164,13 +164,14 @@ def pinched(points: Points, action: Tensor, name: str) -> Tensor:
 
 
 def stopped(points: Points, velocity: Points, action: Tensor, name: str) -> Tensor:
-    """Bool (B,): a shutting gripper whose fingers no longer close, with a part of the object between its pads.
+    """Bool (B,): a shutting gripper that presses on a part of the object, or whose fingers stop close to one.
 
     As :func:`pinched` for an object of any shape, whose sides few points tell to a millimetre, held anywhere.
     """
-    between = (pad_gaps(points, name) <= _SPARSE).all(-1)
-    slow = closing(points, velocity).abs() <= _STOPPED
-    return between & slow & (action[..., -1] < _HALF_SHUT)
+    gaps = pad_gaps(points, name)
+    pressing = (gaps <= _LOOSEST).all(-1)
+    stopping = (gaps <= _SPARSE).all(-1) & (closing(points, velocity).abs() <= _STOPPED)
+    return (pressing | stopping) & (action[..., -1] < _HALF_SHUT)
 
 
 def closing(points: Points, velocity: Points) -> Tensor:
