@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 __all__ = [
+    "MOST_SUNK",
     "PAD_END",
     "PAD_HALF_WIDTH",
     "along",
@@ -39,6 +40,9 @@ P = ParamSpec("P")
 
 PAD_HALF_WIDTH, PAD_END = 0.014, 0.012
 """Metres that the fingers' pads reach to either side of the tool centre, and beyond it."""
+
+MOST_SUNK = 0.015
+"""Metres by which both pads together may sink into what is between them."""
 
 _TOOL_RATIO = 0.355  # (tool - fingers) / (fingers - hand) along the Panda hand's axis, of its collision meshes
 _CLOSE = 0.025  # the paper's grasp distance
@@ -171,7 +175,8 @@ def stopped(points: Points, velocity: Points, action: Tensor, name: str) -> Tens
     gaps = pad_gaps(points, name)
     pressing = (gaps <= _LOOSEST).all(-1)
     stopping = (gaps <= _SPARSE).all(-1) & (closing(points, velocity).abs() <= _STOPPED)
-    return (pressing | stopping) & (action[..., -1] < _HALF_SHUT)
+    fits = gaps.sum(-1) >= -MOST_SUNK  # else they are shut beside the object, or in front of it
+    return (pressing | stopping) & fits & (action[..., -1] < _HALF_SHUT)
 
 
 def closing(points: Points, velocity: Points) -> Tensor:
