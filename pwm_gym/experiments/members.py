@@ -209,8 +209,8 @@ def _piece(member: Member, mode: str, data: Path, out: Path, task: str, full: bo
         source = row_folder("rollout", member.source, data, out, task).name
     if member.observation == "completed":
         source += digest(SHIPPED)
-    recipe = (task, replace(member, name=""), source, chunk, episodes, member.config, member.max_steps)
-    recipe = (*recipe, objects) if objects else recipe
+    asked = [objects] if objects else []
+    recipe = (task, replace(member, name=""), source, chunk, episodes, member.config, member.max_steps, *asked)
     make = partial(_planned, member, data, out, task, chunk, episodes, objects)
     return Piece(f"{member.name}, {mode}", "planning", repr(recipe), out, make)
 
