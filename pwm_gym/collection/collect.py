@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import multiprocessing as mp
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -23,6 +22,7 @@ from pwm_gym.scene import SCHEMA, sample_clouds
 from pwm_gym.seeds import RANGES
 from pwm_gym.sim import Simulator
 from pwm_gym.tasks import Task, get_task
+from pwm_gym.workers import work_through
 
 __all__ = ["CollectConfig", "collect", "record_episode"]
 
@@ -101,6 +101,7 @@ def collect(config: CollectConfig, progress: bool = True) -> Path:
 
     Raises:
         DatasetError: the folder holds a data set of another task or configuration, or lost files meanwhile.
+        PwmGymError: one of several processes died.
     """
     task = get_task(config.task)
     _write_header(config, task)
@@ -108,7 +109,7 @@ def collect(config: CollectConfig, progress: bool = True) -> Path:
     jobs = [job for job in every if not _is_whole(job, task)]
     total = sum(len(job.seeds) for job in jobs)
     with tqdm(total=total, unit="episode", disable=not progress, desc=f"collect {task.name}") as bar:
-        for count in _run(jobs, config.workers):
+        for count in work_through(_collect_shard, jobs, config.workers, _one_thread):
             bar.update(count)
     _check_complete(config.folder, every)
     return config.folder
@@ -166,14 +167,6 @@ def _is_whole(job: _Job, task: Task) -> bool:
         return len(read_shard(job.path, task.name)) == len(job.seeds)
     except DatasetError:
         return False
-
-
-def _run(jobs: list[_Job], workers: int) -> Iterator[int]:
-    if workers <= 1 or len(jobs) <= 1:
-        yield from map(_collect_shard, jobs)
-        return
-    with mp.get_context("spawn").Pool(min(workers, len(jobs)), initializer=_one_thread) as pool:
-        yield from pool.imap_unordered(_collect_shard, jobs)
 
 
 def _one_thread() -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +16,7 @@ from pwm_gym.data.partial import partial_clouds
 from pwm_gym.dynamics.model import WorldModel
 from pwm_gym.dynamics.protocols import MovesArms, MovesFewerPoints
 from pwm_gym.evaluation.joints import joint_positions
-from pwm_gym.scene import PointState, RigidState, State, batch_state, stack
+from pwm_gym.scene import PointState, RigidState, Scene, State, batch_state, stack
 from pwm_gym.scene.se3 import inverse, matrix_from_pose7, rotation_angle
 
 if TYPE_CHECKING:
@@ -140,16 +140,20 @@ def observed_start(dataset: Dataset, seen: np.ndarray | None = None) -> RigidSta
     return RigidState(layout, canonical, frames.flip(1), joints)
 
 
-def completed_start(dataset: Dataset, look: RenderedObserver) -> RigidState:
+def completed_start(dataset: Dataset, observer: Callable[[Scene], RenderedObserver]) -> RigidState:
     """State (M,) of the third step of each episode that is predicted, as perception makes it of three views.
 
     Args:
         dataset: episodes of one split.
-        look: sees them.
+        observer: who sees scenes of the assets of this one; asked for once a combination of assets.
     """
+    observers: dict[tuple[str, ...], RenderedObserver] = {}
     scenes = []
     for index, episode in enumerate(dataset.episodes):
         if len(episode) > OBSERVED - 1:
+            if episode.assets not in observers:
+                observers[episode.assets] = observer(dataset.scene(episode))
+            look = observers[episode.assets]
             look.reset(index)
             scenes.append([look(dataset.scene(episode, step)).scene for step in range(OBSERVED)][-1])
     return batch_state(scenes)

@@ -31,7 +31,7 @@ from pwm_gym.tasks import Task, get_task
 from pwm_gym.training import FitConfig, fit
 from pwm_gym.training.losses import TrainConfig
 
-__all__ = ["TABLES", "Row", "Table", "plan_episodes", "row_folder", "run_table", "trained"]
+__all__ = ["TABLES", "Row", "Table", "check_objects", "plan_episodes", "row_folder", "run_table", "trained"]
 
 _ABLATION = 500_000  # sample-steps: about ten minutes of the default model on one core
 _HEADLINE = 50_000  # twenty minutes to an hour of a network of points on one core
@@ -181,7 +181,9 @@ TABLES: dict[str, Table] = {
 """Name -> table."""
 
 
-def run_table(name: str, data: Path, out: Path, task: str = "PickCube", workers: int = 1) -> dict[str, Any]:
+def run_table(
+    name: str, data: Path, out: Path, task: str = "PickCube", workers: int = 1, objects: str = ""
+) -> dict[str, Any]:
     """Train and evaluate what is still missing of a table, and return its rows; progress is printed.
 
     Args:
@@ -190,12 +192,16 @@ def run_table(name: str, data: Path, out: Path, task: str = "PickCube", workers:
         out: folder of the pieces.
         task: registered task.
         workers: pieces at once, each on one thread.
+        objects: what planned episodes draw their objects from, as of :meth:`pwm_gym.tasks.Task.make_simulator`; "" for
+            the task's default.
 
     Raises:
         UnknownNameError: no table has this name.
+        PwmGymError: the task has no such objects.
     """
     table = look_up("table", name, TABLES)
-    pieces = [_piece(row, seed, data, out, task) for row in table.rows for seed in row.seeds]
+    check_objects(get_task(task), objects)
+    pieces = [_piece(row, seed, data, out, task, objects) for row in table.rows for seed in row.seeds]
     if any(row.view == "partial" for row in table.rows) and not all(p.result.exists() for p in pieces):
         for split in ("train", "validation", "test"):  # before several processes want it
             visible_split(data, split, get_task(task))
@@ -204,8 +210,18 @@ def run_table(name: str, data: Path, out: Path, task: str = "PickCube", workers:
     return {"caption": table.caption, "rows": rows}
 
 
-def _piece(row: Row, seed: int, data: Path, out: Path, task: str) -> Piece:
-    """One row and seed."""
+def check_objects(task: Task, objects: str) -> None:
+    """Refuse objects that a task's simulator cannot have, before hours of work for them.
+
+    Raises:
+        PwmGymError: naming them and what there is.
+    """
+    if objects:
+        task.make_simulator(objects).close()
+
+
+def _piece(row: Row, seed: int, data: Path, out: Path, task: str, objects: str = "") -> Piece:
+    """One row and seed; the ``objects`` count where it plans."""
     recipe = (
         task,
         str(data),
@@ -217,8 +233,9 @@ def _piece(row: Row, seed: int, data: Path, out: Path, task: str) -> Piece:
         row.kinds,
         row.plan,
         seed,
+        *([objects] if objects and row.plan else []),
     )
-    make = partial(_evaluated, row, seed, data, task)
+    make = partial(_evaluated, row, seed, data, task, objects)
     return Piece(f"{row.name}, seed {seed}", row.model, repr(recipe), out, make)
 
 
@@ -262,7 +279,7 @@ def _fit(row: Row, seed: int, data: Path, task: str, folder: Path) -> Path:
     return fit(config, replace(row.training, seed=seed), lambda *_: {}, progress=False)
 
 
-def _evaluated(row: Row, seed: int, data: Path, task_name: str, folder: Path) -> dict[str, Any]:
+def _evaluated(row: Row, seed: int, data: Path, task_name: str, objects: str, folder: Path) -> dict[str, Any]:
     """Train and evaluate one row with one seed."""
     prepare_process(threads=1)
     task = get_task(task_name)
@@ -279,13 +296,13 @@ def _evaluated(row: Row, seed: int, data: Path, task_name: str, folder: Path) ->
         "episodes": sum(training["data"]["episodes"].values()),
         "parameters": sum(p.numel() for p in model.parameters()),  # type: ignore[attr-defined]
         "splits": evaluate_rollouts(model, task, test, every=10, progress=False, start=start),
-        "planning": plan_episodes(model, task, row.plan) if row.plan else None,
+        "planning": plan_episodes(model, task, row.plan, objects) if row.plan else None,
     }
 
 
-def plan_episodes(model: WorldModel, task: Task, episodes: int) -> dict[str, Any]:
-    """Closed-loop planning of the test seeds in the simulator."""
-    with gym.make(f"pwm/{task.name}Sim-v0") as env:
+def plan_episodes(model: WorldModel, task: Task, episodes: int, objects: str = "") -> dict[str, Any]:
+    """Closed-loop planning of the test seeds in the simulator, with these ``objects`` or the task's default."""
+    with gym.make(f"pwm/{task.name}Sim-v0", objects=objects or None) as env:
         seeds, most = seed_range("plan_test", episodes), task.max_episode_steps
         runs = run_episodes(env, Agent(model, task.name), seeds, most, progress=False)
     return planning_table(runs)
