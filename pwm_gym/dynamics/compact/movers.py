@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-from pwm_gym.dynamics.compact.contact import PAIR_FEATURES, Contacts
+from pwm_gym.dynamics.compact.contact import PAIR_FEATURES, Contacts, Shapes
 from pwm_gym.dynamics.compact.plan import Plan
 from pwm_gym.dynamics.response import twist
 from pwm_gym.scene.joint import JOINT_KINDS
@@ -82,7 +82,7 @@ class MoverMotion(nn.Module):
         plan: Plan,
         poses: Tensor,
         moves: Tensor,
-        middle: Tensor,
+        shapes: Shapes,
         contacts: Contacts,
         tokens: Tensor,
         links_next: Tensor,
@@ -94,7 +94,7 @@ class MoverMotion(nn.Module):
             plan: of the scenes' layout.
             poses: (B, 3, P, 4, 4) at t, t-1, t-2.
             moves: last world-frame twists (B, P, 6).
-            middle: canonical middles (B, P, 3) of the entities.
+            shapes: of the entities.
             contacts: of the movers.
             tokens: (B, P, C).
             links_next: the links' next poses (B, L, 4, 4).
@@ -110,11 +110,12 @@ class MoverMotion(nn.Module):
         if not plan.loose:
             return following
         count = len(plan.loose)
-        centre = transform(poses[:, :2, plan.loose], middle[:, None, plan.loose].unsqueeze(-2)).squeeze(-2)
+        middle = shapes.middles()[:, plan.loose]
+        centre = transform(poses[:, :2, plan.loose], middle[:, None, :, None]).squeeze(-2)
         motion = self._loose(plan, now, following, moves, centre, contacts, decoded, frame)
         if count > 1:
             motion = self._sweep(plan, centre[:, 0], motion, contacts.push, decoded)
-        moved = _turn_about(now[:, plan.loose], middle[:, plan.loose], centre[:, 0], motion)
+        moved = _turn_about(now[:, plan.loose], middle, centre[:, 0], motion)
         parts = list(following.unbind(1))
         for place, pose in zip(plan.loose, moved.unbind(1), strict=True):
             parts[place] = pose
@@ -208,6 +209,7 @@ class MoverMotion(nn.Module):
         """
         first, tree = len(plan.loose), plan.tree
         positions = tree.positions(poses)  # (B, 3, S)
+        assert contacts.touching is not None
         touching = contacts.touching[:, first:]  # (B, S, P, 3)
         now = poses[:, 0]
         moved = torch.cat([twist(now[:, : plan.links], links_next), moves[:, plan.links :]], 1)
