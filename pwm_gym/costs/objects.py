@@ -32,7 +32,7 @@ __all__ = [
     "still",
 ]
 
-_TOUCHING, _STOPPED = 0.005, 0.0008  # metres, and metres a step: of fingers that an object has stopped
+_TOUCHING, _STOPPED = 0.006, 0.0016  # metres, and metres a step: of fingers that an object has stopped
 _OFF_PLACE = 0.02  # metres between tool and grip place within which the fingers may shut
 _NARROW, _WIDE = 0.05, 0.08  # metres: a width that fits well, and the open Panda gripper's
 
@@ -111,13 +111,13 @@ def _outside(points: Points, name: str) -> Tensor:
 def _touching(points: Points, name: str) -> Tensor:
     """Soft bool (B,): both pads touch what is between them, and are not shut beside it."""
     gaps = contacts.pad_gaps(points, name)
-    touching = torch.sigmoid((_TOUCHING - gaps.amax(-1)) / 0.0015)
+    touching = torch.sigmoid((_TOUCHING - gaps.amax(-1)) / 0.001)
     return touching * torch.sigmoid((gaps.sum(-1) + contacts.MOST_SUNK) / 0.001)
 
 
 def _firmness(points: Points, info: Info, name: str) -> Tensor:
     """Soft form (B,) of :func:`pwm_gym.costs.contacts.stopped`."""
-    slow = torch.sigmoid((_STOPPED - contacts.closing(points, info["velocity"]).abs()) / 0.0003)
+    slow = torch.sigmoid((_STOPPED - contacts.closing(points, info["velocity"]).abs()) / 0.0004)
     return _touching(points, name) * slow * (info["action"][..., -1] < 0)
 
 
