@@ -107,17 +107,17 @@ class Evaluate:
         dataset = load_split(data, self.split, task.name)
         checkpoint = load_checkpoint(resolve(self.checkpoint, task.name))
         training = load_split(self.fit_data or data, "train", task.name)
+        starts = {} if self.completer is None else _completed_starts(task, dataset, self.completer, self.sensor)
+        floors = self._floors(task, dataset) if self.floors else {}
         models: dict[str, WorldModel] = {checkpoint.kind: checkpoint.model}
         models |= {name: fit_baseline(name, training) for name in _WITHOUT_LEARNING}
         rows = {k: evaluate_rollouts(model, task, dataset, every=self.every) for k, model in models.items()}
         rows["oracle effector"] = evaluate_rollouts(checkpoint.model, task, dataset, oracle=True, every=self.every)
-        if self.completer is not None:
-            for view, start in _completed_starts(task, dataset, self.completer, self.sensor).items():
-                rows[f"completed, {view}"] = evaluate_rollouts(
-                    checkpoint.model, task, dataset, every=self.every, start=start
-                )
+        for view, start in starts.items():
+            rows[f"completed, {view}"] = evaluate_rollouts(
+                checkpoint.model, task, dataset, every=self.every, start=start
+            )
         onsets = {k: onsets_by_split(model, dataset) for k, model in models.items()}
-        floors = self._floors(task, dataset) if self.floors else {}
         print(report_text(task, rows, onsets, floors))
         self._calibration(task, rows[checkpoint.kind])
         self._strips(task, checkpoint.model, dataset)
