@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pwm_gym.commands.folders import data_folder
+from pwm_gym.commands.numbers import check_least
 
 if TYPE_CHECKING:
     from pwm_gym.cameras import DepthCamera
@@ -143,13 +144,13 @@ class Evaluate:
         """Refuse numbers that cannot be, and options that nothing would read."""
         from pwm_gym.errors import PwmGymError
 
-        for name, least in {"every": 1, "workers": 1, "threads": 1, "episodes": 0, "long": 0}.items():
-            if getattr(self, name) < least:
-                raise PwmGymError(f"--{name} {getattr(self, name)}; expected at least {least}")
+        check_least(self, every=1, workers=1, threads=1, episodes=0, long=0)
         if self.table is None and self.objects:
             raise PwmGymError(
                 f"--objects {self.objects}; expected a --table that plans: a data set has its own objects"
             )
+        if self.table == "distractors":
+            check_least(self, episodes=1)
         if self.table == "distractors" and self.objects:
             raise PwmGymError(
                 f"--objects {self.objects}; the table 'distractors' has the objects of the checkpoint's scenes"
