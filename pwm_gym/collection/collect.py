@@ -14,6 +14,7 @@ from pwm_gym.collection.behaviours import Behaviour, Demonstration, OnPolicy, Pr
 from pwm_gym.data.dataset import FORMAT, asset_path, read_header, save_asset
 from pwm_gym.data.episodes import FORMAT as EPISODES
 from pwm_gym.data.episodes import KINDS, Episode, read_shard, write_shard
+from pwm_gym.data.simulated import check_objects
 from pwm_gym.dynamics.checkpoint import load_checkpoint, resolve
 from pwm_gym.errors import DatasetError
 from pwm_gym.files import write_atomically
@@ -101,7 +102,7 @@ def collect(config: CollectConfig, progress: bool = True) -> Path:
 
     Raises:
         DatasetError: the folder holds a data set of another task or configuration, or lost files meanwhile.
-        PwmGymError: one of several processes died.
+        PwmGymError: the task has no such objects, or one of several processes died.
     """
     task = get_task(config.task)
     _write_header(config, task)
@@ -142,6 +143,7 @@ def _write_header(config: CollectConfig, task: Task) -> None:
         if found != settings:
             raise DatasetError(f"{config.folder} was collected with {found}; expected {settings}")
         return
+    check_objects(task, config.objects)
     write_atomically(path, json.dumps(header).encode())
 
 

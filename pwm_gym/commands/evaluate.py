@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pwm_gym.commands.folders import data_folder
+from pwm_gym.commands.numbers import check_least
 
 if TYPE_CHECKING:
     from pwm_gym.cameras import DepthCamera
@@ -107,17 +108,17 @@ class Evaluate:
         dataset = load_split(data, self.split, task.name)
         checkpoint = load_checkpoint(resolve(self.checkpoint, task.name))
         training = load_split(self.fit_data or data, "train", task.name)
+        starts = {} if self.completer is None else _completed_starts(task, dataset, self.completer, self.sensor)
+        floors = self._floors(task, dataset) if self.floors else {}
         models: dict[str, WorldModel] = {checkpoint.kind: checkpoint.model}
         models |= {name: fit_baseline(name, training) for name in _WITHOUT_LEARNING}
         rows = {k: evaluate_rollouts(model, task, dataset, every=self.every) for k, model in models.items()}
         rows["oracle effector"] = evaluate_rollouts(checkpoint.model, task, dataset, oracle=True, every=self.every)
-        if self.completer is not None:
-            for view, start in _completed_starts(task, dataset, self.completer, self.sensor).items():
-                rows[f"completed, {view}"] = evaluate_rollouts(
-                    checkpoint.model, task, dataset, every=self.every, start=start
-                )
+        for view, start in starts.items():
+            rows[f"completed, {view}"] = evaluate_rollouts(
+                checkpoint.model, task, dataset, every=self.every, start=start
+            )
         onsets = {k: onsets_by_split(model, dataset) for k, model in models.items()}
-        floors = self._floors(task, dataset) if self.floors else {}
         print(report_text(task, rows, onsets, floors))
         self._calibration(task, rows[checkpoint.kind])
         self._strips(task, checkpoint.model, dataset)
@@ -143,13 +144,13 @@ class Evaluate:
         """Refuse numbers that cannot be, and options that nothing would read."""
         from pwm_gym.errors import PwmGymError
 
-        for name, least in {"every": 1, "workers": 1, "threads": 1, "episodes": 0, "long": 0}.items():
-            if getattr(self, name) < least:
-                raise PwmGymError(f"--{name} {getattr(self, name)}; expected at least {least}")
+        check_least(self, every=1, workers=1, threads=1, episodes=0, long=0)
         if self.table is None and self.objects:
             raise PwmGymError(
                 f"--objects {self.objects}; expected a --table that plans: a data set has its own objects"
             )
+        if self.table == "distractors":
+            check_least(self, episodes=1)
         if self.table == "distractors" and self.objects:
             raise PwmGymError(
                 f"--objects {self.objects}; the table 'distractors' has the objects of the checkpoint's scenes"

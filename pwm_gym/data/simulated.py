@@ -1,4 +1,4 @@
-"""What a data set's own objects look like, told by a simulator."""
+"""The objects of episodes, in a simulator: whether there are such, and what they look like."""
 
 from __future__ import annotations
 
@@ -13,7 +13,17 @@ from pwm_gym.tasks import Task
 if TYPE_CHECKING:
     import trimesh
 
-__all__ = ["SceneMeshes", "simulator_of"]
+__all__ = ["SceneMeshes", "check_objects", "simulator_of"]
+
+
+def check_objects(task: Task, objects: str) -> None:
+    """Refuse objects that a task's simulator cannot have, before hours of work for them; "" is its default.
+
+    Raises:
+        PwmGymError: naming them and what there is.
+    """
+    if objects:
+        task.make_simulator(objects).close()
 
 
 def simulator_of(task: Task, dataset: Dataset) -> Simulator:

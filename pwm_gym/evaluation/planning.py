@@ -11,6 +11,7 @@ import gymnasium as gym
 import numpy as np
 from tqdm import tqdm
 
+from pwm_gym.errors import PwmGymError
 from pwm_gym.planning import Agent, Run, execute
 from pwm_gym.scene import Scene
 
@@ -63,7 +64,13 @@ def wilson(successes: int, trials: int, z: float = 1.96) -> tuple[float, float]:
 
 
 def planning_table(runs: Sequence[Run]) -> dict[str, Any]:
-    """Success rate with its interval, steps and latencies (seconds an action) of ``runs``."""
+    """Success rate with its interval, steps and latencies (seconds an action) of ``runs``.
+
+    Raises:
+        PwmGymError: there are none.
+    """
+    if not runs:
+        raise PwmGymError("no run is left to tell of; expected at least one seed that is not a success at reset")
     wins = [r for r in runs if r.success]
     latencies = np.array([t for r in runs for t in r.plan_seconds])
     return {

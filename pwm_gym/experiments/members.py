@@ -15,11 +15,12 @@ import torch
 from pwm_gym.completion import SHIPPED
 from pwm_gym.data import load_split
 from pwm_gym.data.partial import PartialView
+from pwm_gym.data.simulated import check_objects
 from pwm_gym.dynamics import WorldModel, load_checkpoint, resolve
 from pwm_gym.errors import look_up
 from pwm_gym.evaluation.planning import load_runs, planning_table, run_episodes, save_runs
 from pwm_gym.experiments.pieces import Piece, run_pieces
-from pwm_gym.experiments.tables import check_objects, row_folder, trained
+from pwm_gym.experiments.tables import row_folder, trained
 from pwm_gym.planning import Agent, Run, SamplingConfig, get_planner_config
 from pwm_gym.scene import Scene
 from pwm_gym.seeds import seed_range

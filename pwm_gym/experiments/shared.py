@@ -8,12 +8,13 @@ from pathlib import Path
 from typing import Any
 
 from pwm_gym.data import load_split
+from pwm_gym.data.simulated import check_objects
 from pwm_gym.dynamics import load_checkpoint
 from pwm_gym.errors import PwmGymError
 from pwm_gym.evaluation.report import evaluate_rollouts
 from pwm_gym.experiments.members import digest
 from pwm_gym.experiments.pieces import Piece, run_pieces
-from pwm_gym.experiments.tables import check_objects, plan_episodes
+from pwm_gym.experiments.tables import plan_episodes
 from pwm_gym.process import prepare_process
 from pwm_gym.tasks import get_task
 

@@ -18,6 +18,7 @@ import numpy as np
 
 from pwm_gym.data import load_split
 from pwm_gym.data.partial import visible_split
+from pwm_gym.data.simulated import check_objects
 from pwm_gym.dynamics import WorldModel, load_checkpoint
 from pwm_gym.errors import look_up
 from pwm_gym.evaluation.planning import planning_table, run_episodes
@@ -31,7 +32,7 @@ from pwm_gym.tasks import Task, get_task
 from pwm_gym.training import FitConfig, fit
 from pwm_gym.training.losses import TrainConfig
 
-__all__ = ["TABLES", "Row", "Table", "check_objects", "plan_episodes", "row_folder", "run_table", "trained"]
+__all__ = ["TABLES", "Row", "Table", "plan_episodes", "row_folder", "run_table", "trained"]
 
 _ABLATION = 500_000  # sample-steps: about ten minutes of the default model on one core
 _HEADLINE = 50_000  # twenty minutes to an hour of a network of points on one core
@@ -208,16 +209,6 @@ def run_table(
     results = iter(run_pieces(pieces, workers))
     rows = [_joined(row, [next(results) for _ in row.seeds], get_task(task).objects) for row in table.rows]
     return {"caption": table.caption, "rows": rows}
-
-
-def check_objects(task: Task, objects: str) -> None:
-    """Refuse objects that a task's simulator cannot have, before hours of work for them.
-
-    Raises:
-        PwmGymError: naming them and what there is.
-    """
-    if objects:
-        task.make_simulator(objects).close()
 
 
 def _piece(row: Row, seed: int, data: Path, out: Path, task: str, objects: str = "") -> Piece:

@@ -170,6 +170,12 @@ def test_an_unknown_task_is_refused(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+def test_objects_that_a_task_has_not_leave_no_data_set(tmp_path):
+    with pytest.raises(PwmGymError, match="objects='unseen'; the objects of PickCube are always the same"):
+        collect(CollectConfig(objects="unseen", out=tmp_path), progress=False)
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_truncated_header_is_named(copied):
     path = copied.out / "dataset.json"
     path.write_text(path.read_text()[:100])
