@@ -110,12 +110,12 @@ class MoverMotion(nn.Module):
         if not plan.loose:
             return following
         count = len(plan.loose)
-        middle = shapes.middles()[:, plan.loose]
-        centre = transform(poses[:, :2, plan.loose], middle[:, None, :, None]).squeeze(-2)
+        middle = shapes.middles()[:, plan.loose_places]
+        centre = transform(poses[:, :2, plan.loose_places], middle[:, None, :, None]).squeeze(-2)
         motion = self._loose(plan, now, following, moves, centre, contacts, decoded, frame)
         if count > 1:
             motion = self._sweep(plan, centre[:, 0], motion, contacts.push, decoded)
-        moved = _turn_about(now[:, plan.loose], middle, centre[:, 0], motion)
+        moved = _turn_about(now[:, plan.loose_places], middle, centre[:, 0], motion)
         parts = list(following.unbind(1))
         for place, pose in zip(plan.loose, moved.unbind(1), strict=True):
             parts[place] = pose
@@ -158,7 +158,7 @@ class MoverMotion(nn.Module):
             frame: rotation (B, 3, 3) of the frame of reference.
         """
         count = len(plan.loose)
-        known = [k for k in (*range(plan.links), *plan.articulated, *plan.attached) if k < plan.partners]
+        known = plan.carriers
         push = contacts.push[:, :count]
         twisted = decoded.learned[:, :count]
         turned = frame.transpose(1, 2)
@@ -168,11 +168,11 @@ class MoverMotion(nn.Module):
         ]
         gone = centre[:, 0] - centre[:, 1]
         fall = gone.new_tensor([0.0, 0.0, self._fall]) * decoded.fall[:, :count]
-        spin = moves[:, plan.loose, 3:]
+        spin = moves[:, plan.loose_places, 3:]
         free = _moving(gone, spin)
         flying = decoded.flying[:, :count] * (1.0 - (1.0 - free) * (1.0 - contacts.unsupported[:, :count]))
         way, turn = learned[0] + flying * (gone + fall), learned[1] + flying * spin
-        if known:
+        if plan.carried:
             carry = decoded.carry[:, :count, known]
             carriers, after = now[:, known], following[:, known]
             relative = after @ inverse(carriers)  # (B, K, 4, 4)
@@ -188,8 +188,8 @@ class MoverMotion(nn.Module):
     def _sweep(plan: Plan, centre: Tensor, motion: Tensor, push: Tensor, decoded: _Decoded) -> Tensor:
         """Twists (B, F, 6) with what loose movers at middles (B, F, 3) do to each other added."""
         count = len(plan.loose)
-        carry = decoded.carry[:, :count, plan.loose]  # (B, F, F)
-        pushed = (decoded.push[:, :count, plan.loose].unsqueeze(-1) * push[:, :count, plan.loose]).sum(2)
+        carry = decoded.carry[:, :count, plan.loose_places]  # (B, F, F)
+        pushed = (decoded.push[:, :count, plan.loose_places].unsqueeze(-1) * push[:, :count, plan.loose_places]).sum(2)
         own = motion + torch.cat([pushed, torch.zeros_like(pushed)], -1)
         offset = centre.unsqueeze(2) - centre.unsqueeze(1)  # (B, F, F, 3)
         motion = own

@@ -61,6 +61,12 @@ class Plan:
     """The same."""
     hands: Places
     """Places of the hands."""
+    loose_places: Places
+    """Those of :attr:`loose`."""
+    carriers: Places
+    """Places of partners whose next poses are known before the loose entities'."""
+    carried: bool
+    """Whether there are any."""
     fixed_rows: Tensor
     """Rows (3 S + 1, 4) that take points of the world to the walls' axes, and to their heights."""
     apart: Tensor
@@ -92,6 +98,7 @@ class Plan:
         poses = matrix_from_pose7(torch.tensor([s.origin for s in walls], dtype=torch.float32).reshape(-1, 7))
         kinds = [JOINT_KINDS.index(e.joint.kind) for e in sorted_layout.entities[len(links) :]]
         itself = torch.tensor([[bodies[p] == bodies[m] for p in range(partners)] for m in movers], device=device)
+        carriers = [k for k in (*range(len(links)), *articulated, *attached) if k < partners]
         inverses = inverse(poses).to(device)
         from_boxes = nn.functional.pad(_APART * itself, (0, len(walls)))  # no mover is a wall
         return cls(
@@ -113,6 +120,9 @@ class Plan:
             places=movers,
             movers=_places(movers, device),
             hands=_places(links.hands, device),
+            loose_places=_places(loose, device),
+            carriers=_places(carriers, device),
+            carried=bool(carriers),
             fixed_rows=torch.cat([inverses[:, :3].flatten(0, 1), torch.tensor(_UP, device=device)]),
             apart=torch.cat([from_boxes, from_boxes, _APART * itself], 1).unsqueeze(-1) if movers else torch.empty(0),
             sorted=order == sorted(order),

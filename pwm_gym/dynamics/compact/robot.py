@@ -127,8 +127,8 @@ class RobotMotion(nn.Module):
         """What is known of the step under actions (B, A), for links at poses (B, 3, L, 4, 4)."""
         tree, now = self.response.tree, links[:, 0, self.hands]
         arms: list[ArmForecast | None] = []
-        moved = self.response.hand_twists(links, action) if not all(self.known) else now.new_zeros(*now.shape[:2], 6)
-        hands = list(_moved(now, moved).unbind(1))
+        moved = now if all(self.known) else _moved(now, self.response.hand_twists(links, action))
+        hands = list(moved.unbind(1))
         for k, arm in enumerate(self.arms):
             arms.append(None)
             if isinstance(arm, ArmResponse):
