@@ -9,13 +9,13 @@ what is told pair by pair decides who carries and pushes whom.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor, nn
 
 from pwm_gym.dynamics.compact.plan import Plan
-from pwm_gym.scene.se3 import transform
+from pwm_gym.scene.se3 import inverse, transform
 
 __all__ = ["PAIR_FEATURES", "Contacts", "LinkShapes", "MoverContacts", "Shapes"]
 
@@ -70,16 +70,40 @@ class Shapes:
     """Corner (B, P, 3) of the box around them."""
     high: Tensor
     """The opposite corner."""
+    middles: Tensor
+    """Mean points (B, P, 3)."""
 
     @classmethod
     def of(cls, points: Tensor) -> Shapes:
         """Of canonical points (B, P, n, 3)."""
         rows = nn.functional.pad(points.transpose(-1, -2), (0, 0, 0, 1), value=1.0)
-        return cls(rows, rows[:, :, :3].amin(-1), rows[:, :, :3].amax(-1))
+        return cls(rows, rows[:, :, :3].amin(-1), rows[:, :, :3].amax(-1), rows[:, :, :3].mean(-1))
 
-    def middles(self) -> Tensor:
-        """Mean points (B, P, 3)."""
-        return self.points[:, :, :3].mean(-1)
+    def look_closer(self, plan: Plan, clouds: Tensor, ahead: Tensor) -> Shapes:
+        """The same, where half of the movers' points are those of larger clouds that are nearest to a partner's box.
+
+        What may be touched is told at the clouds' resolution, and the network reads no more points.
+
+        Args:
+            plan: of the layout.
+            clouds: canonical points (B, F, m, 3) of the movers.
+            ahead: poses (B, P, 4, 4) of all entities one step ahead.
+        """
+        count, half = plan.partners, self.points.shape[-1] // 2
+        rows = clouds.transpose(-1, -2)  # (B, F, 3, m)
+        with torch.no_grad():
+            local = inverse(ahead[:, :count]).unsqueeze(1) @ ahead[:, plan.movers].unsqueeze(2)  # (B, F, P, 4, 4)
+            centre, sides = 0.5 * (self.low + self.high)[:, :count], 0.5 * (self.high - self.low)[:, :count]
+            shift = local[..., :3, 3:] - centre[:, None, ..., None]
+            boxed = local[..., :3, :3] @ rows.unsqueeze(2) + shift  # (B, F, P, 3, m)
+            gaps = (boxed.abs() - sides[:, None, ..., None]).amax(-2) + plan.apart[:, -count:]  # (B, F, P, m)
+            nearest = gaps.amin(2).topk(half, -1, largest=False).indices
+        chosen = rows.gather(-1, nearest.unsqueeze(2).expand(-1, -1, 3, -1))
+        chosen = nn.functional.pad(chosen, (0, 0, 0, 1), value=1.0)
+        points, low, high = self.points.clone(), self.low.clone(), self.high.clone()
+        points[:, plan.movers, :, -half:] = chosen
+        low[:, plan.movers], high[:, plan.movers] = rows.amin(-1), rows.amax(-1)
+        return replace(self, points=points, low=low, high=high)
 
 
 class LinkShapes(nn.Module):

@@ -110,7 +110,7 @@ class MoverMotion(nn.Module):
         if not plan.loose:
             return following
         count = len(plan.loose)
-        middle = shapes.middles()[:, plan.loose_places]
+        middle = shapes.middles[:, plan.loose_places]
         centre = transform(poses[:, :2, plan.loose_places], middle[:, None, :, None]).squeeze(-2)
         motion = self._loose(plan, now, following, moves, centre, contacts, decoded, frame)
         if count > 1:
