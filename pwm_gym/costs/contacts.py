@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import wraps
-from typing import Concatenate, ParamSpec
+from typing import Concatenate, ParamSpec, TypeVar
 
 import torch
 from torch import Tensor
@@ -37,6 +37,7 @@ __all__ = [
 
 Points = Mapping[str, Tensor]
 P = ParamSpec("P")
+T = TypeVar("T")
 
 PAD_HALF_WIDTH, PAD_END = 0.014, 0.012
 """Metres that the fingers' pads reach to either side of the tool centre, and beyond it."""
@@ -57,21 +58,22 @@ _BETWEEN = 0.013  # metres from tool to centre within which the object is betwee
 _TIPS_APART = 0.027  # metres between the centres of the fingers' clouds where they are shut
 
 
-def once(term: Callable[Concatenate[Points, P], Tensor]) -> Callable[Concatenate[Points, P], Tensor]:
+def once(term: Callable[Concatenate[Points, P], T]) -> Callable[Concatenate[Points, P], T]:
     """Decorator: points that keep a memo (an environment's and a planner's do) form a quantity once.
 
-    All terms then share the tensor, which none may change in place.
+    All terms then share what was formed, which none may change in place.
     """
 
     @wraps(term)
-    def formed(points: Points, *args: P.args, **kwargs: P.kwargs) -> Tensor:
+    def formed(points: Points, *args: P.args, **kwargs: P.kwargs) -> T:
         memo = getattr(points, "memo", None)
         if memo is None:
             return term(points, *args, **kwargs)
         key = (term, args, tuple(kwargs.items()))
         if key not in memo:
             memo[key] = term(points, *args, **kwargs)
-        return memo[key]
+        found: T = memo[key]
+        return found
 
     return formed
 

@@ -33,6 +33,7 @@ __all__ = [
 ]
 
 _TOUCHING, _STOPPED = 0.006, 0.0016  # metres, and metres a step: of fingers that an object has stopped
+_AJAR, _SHUT = -0.3, 0.5  # the gripper's command from which it may hold something, and how far below it surely does
 _OFF_PLACE = 0.02  # metres between tool and grip place within which the fingers may shut
 _NARROW, _WIDE = 0.05, 0.08  # metres: a width that fits well, and the open Panda gripper's
 
@@ -116,9 +117,10 @@ def _touching(points: Points, name: str) -> Tensor:
 
 
 def _firmness(points: Points, info: Info, name: str) -> Tensor:
-    """Soft form (B,) of :func:`pwm_gym.costs.contacts.stopped`."""
+    """Soft form (B,) of :func:`pwm_gym.costs.contacts.stopped`, of fingers that are told to shut, not half-way."""
+    shut = ((_AJAR - info["action"][..., -1]) / _SHUT).clamp(0.0, 1.0)
     slow = torch.sigmoid((_STOPPED - contacts.closing(points, info["velocity"]).abs()) / 0.0004)
-    return _touching(points, name) * slow * (info["action"][..., -1] < 0)
+    return _touching(points, name) * slow * shut
 
 
 def approach(name: str) -> Term:

@@ -85,4 +85,17 @@ def planning_table(runs: Sequence[Run]) -> dict[str, Any]:
         },
         "failed_seeds": [r.seed for r in runs if not r.success],
         "runs": [{"seed": r.seed, "success": r.success, "steps": r.steps} for r in runs],
+        "objects": _by_object(runs),
     }
+
+
+def _by_object(runs: Sequence[Run]) -> dict[str, dict[str, int]]:
+    """Episodes and successes of each object, where the episodes' objects differ."""
+    found: dict[str, dict[str, int]] = {}
+    for run in runs:
+        assets = zip(run.start.layout, run.start.assets, strict=False)  # none, where a scene names no assets
+        name = " ".join(asset for entity, asset in assets if not entity.driven)
+        row = found.setdefault(name, {"episodes": 0, "successes": 0})
+        row["episodes"] += 1
+        row["successes"] += run.success
+    return dict(sorted(found.items())) if len(found) > 1 else {}
