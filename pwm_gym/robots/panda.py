@@ -14,7 +14,7 @@ from pwm_gym.robots.speeds import JointSpeeds
 from pwm_gym.scene import Layout, Support
 from pwm_gym.scene.joint import Joint, Pose7
 
-__all__ = ["JOINT_SPEEDS", "PANDA", "delta_pose_action", "layout", "opening", "robot_cloud", "tool_pose"]
+__all__ = ["JOINT_SPEEDS", "PANDA", "delta_pose_action", "gripper_command", "layout", "opening", "robot_cloud", "tool_pose"]
 
 _LINKS = {"hand": "panda_hand", "left_gripper": "panda_leftfinger", "right_gripper": "panda_rightfinger"}
 _FINGER_ORIGIN: Pose7 = (0.0, 0.0, 0.0584, 1.0, 0.0, 0.0, 0.0)  # the URDF's panda_finger_joint1 and 2
@@ -82,6 +82,11 @@ def tool_pose(poses: np.ndarray) -> np.ndarray:
 def opening(poses: np.ndarray) -> float:
     """Distance in metres between the finger pads, of entity poses (E, 7) (hand, left, right, ...)."""
     return float(np.linalg.norm(poses[1, :3] - poses[2, :3]))
+
+
+def gripper_command(width: float) -> float:
+    """Gripper's part of an action for a distance in metres between the pads: half of it is -0.01 at -1, 0.04 at 1."""
+    return float(np.clip((width / 2 + 0.01) / 0.025 - 1.0, -1.0, 1.0))
 
 
 def delta_pose_action(translation: np.ndarray, rotation: np.ndarray, gripper: float) -> np.ndarray:
