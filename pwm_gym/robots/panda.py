@@ -14,7 +14,16 @@ from pwm_gym.robots.speeds import JointSpeeds
 from pwm_gym.scene import Layout, Support
 from pwm_gym.scene.joint import Joint, Pose7
 
-__all__ = ["JOINT_SPEEDS", "PANDA", "delta_pose_action", "gripper_command", "layout", "opening", "robot_cloud", "tool_pose"]
+__all__ = [
+    "JOINT_SPEEDS",
+    "PANDA",
+    "delta_pose_action",
+    "gripper_command",
+    "layout",
+    "opening",
+    "robot_cloud",
+    "tool_pose",
+]
 
 _LINKS = {"hand": "panda_hand", "left_gripper": "panda_leftfinger", "right_gripper": "panda_rightfinger"}
 _FINGER_ORIGIN: Pose7 = (0.0, 0.0, 0.0584, 1.0, 0.0, 0.0, 0.0)  # the URDF's panda_finger_joint1 and 2
@@ -114,11 +123,17 @@ PANDA = Robot(
 )
 
 
-def layout(objects: Mapping[str, int], points: int = 300) -> Layout:
-    """The Panda's links with ``points`` points each, and loose objects (name -> points) on the ground."""
+def layout(objects: Mapping[str, int], points: int = 300, joints: Mapping[str, Joint] | None = None) -> Layout:
+    """The Panda's links with ``points`` points each, and objects (name -> points) on the ground.
+
+    Args:
+        objects: loose where :obj:`joints` does not say otherwise.
+        points: of each link.
+        joints: object -> how it hangs on its parent.
+    """
     return Layout.build(
         [*((link, points) for link in _LINKS), *objects.items()],
         driven=PANDA.driven,
-        joints=PANDA.joints,
+        joints={**PANDA.joints, **(joints or {})},
         supports=[Support.ground()],
     )

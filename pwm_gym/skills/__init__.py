@@ -1,6 +1,7 @@
 """What scripted experts share: skills without memory, whose phases are told from poses alone (NumPy)."""
 
 from pwm_gym.skills.carry import Carry
+from pwm_gym.skills.clean_up import CleanUp
 from pwm_gym.skills.grasp import TopGrasp
 from pwm_gym.skills.motion import downward_turn, drive, servo, side_yaw, tool_pose, yaw_error
 from pwm_gym.skills.object_grasps import Grasp, ObjectGrasps, find_grasps
@@ -11,6 +12,7 @@ from pwm_gym.skills.push import Push
 
 __all__ = [
     "Carry",
+    "CleanUp",
     "Grasp",
     "ObjectGrasps",
     "PickObject",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -16,9 +17,9 @@ from mani_skill.utils.structs import Actor, Pose
 
 from pwm_gym.sim.cabinet import CABINET, CABINET_HALF, DRAWER, DRAWER_JOINT, HANDLE, PLACE, STROKE, TRAY, TRAY_FLOOR
 from pwm_gym.sim.maniskill.build import add_shapes
-from pwm_gym.sim.mugs import MUGS
+from pwm_gym.sim.mugs import MUGS, get_mug
 
-__all__ = ["MugCleanupEnv"]
+__all__ = ["MugChoice", "MugCleanupEnv"]
 
 _BASE = (-0.615, 0.0, 0.0)  # the robot's, as in ManiSkill's other tasks on a table
 _CABINET = (0.21, 0.15)  # middle, in the plane
@@ -197,3 +198,28 @@ def _about_z(angle: torch.Tensor) -> torch.Tensor:
     """Quaternions (B, 4) of turns (B,) about the vertical."""
     zero = torch.zeros_like(angle)
     return torch.stack([torch.cos(0.5 * angle), zero, zero, torch.sin(0.5 * angle)], -1)
+
+
+class MugChoice:
+    """The mug of MugCleanup's scenes; a :class:`pwm_gym.sim.maniskill.AssetChoice`."""
+
+    entity = "mug"
+
+    def force(self, env: Any, assets: Mapping[str, str] | None) -> None:
+        """Make the next scene of this mug, or of one that the seed draws.
+
+        Raises:
+            UnknownNameError: there is no such mug.
+        """
+        if assets is not None:
+            get_mug(assets[self.entity])
+        env.mug_choice = tuple(MUGS) if assets is None else (assets[self.entity],)
+
+    def names(self, env: Any) -> Mapping[str, str]:
+        """The mug's name."""
+        return {self.entity: env.mug_names[0]}
+
+    @staticmethod
+    def actor(env: Any) -> Any:
+        """The mug's actor."""
+        return env.mug
