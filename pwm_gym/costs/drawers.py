@@ -14,8 +14,21 @@ from torch import Tensor
 from pwm_gym.costs import contacts
 from pwm_gym.costs.contacts import Points, along, once
 from pwm_gym.costs.terms import Info, Place, Term
+from pwm_gym.sim.cabinet import DRAWER_FROM, DRAWER_TO, HANDLE, PLACE, STROKE, TRAY, TRAY_FLOOR
 
-__all__ = ["Drawer", "handle", "inside", "open_to", "opened", "opening", "put_in", "reach", "shut_to", "spot"]
+__all__ = [
+    "CABINET_DRAWER",
+    "Drawer",
+    "handle",
+    "inside",
+    "open_to",
+    "opened",
+    "opening",
+    "put_in",
+    "reach",
+    "shut_to",
+    "spot",
+]
 
 
 @dataclass(frozen=True)
@@ -36,6 +49,17 @@ class Drawer:
     """Where things are put: behind the foremost point."""
     name: str = "drawer"
     cabinet: str = "cabinet"
+
+
+CABINET_DRAWER = Drawer(
+    way=STROKE,
+    ahead=0.5 * (DRAWER_FROM[0] + DRAWER_TO[0]),
+    bar=(DRAWER_TO[0] - HANDLE[0], DRAWER_TO[2] - HANDLE[2]),
+    tray=(DRAWER_TO[0] - TRAY[1][0], DRAWER_TO[0] - TRAY[0][0], TRAY[1][1]),
+    floor=TRAY_FLOOR - DRAWER_FROM[2],
+    place=DRAWER_TO[0] - PLACE[0],
+)
+"""Of :mod:`pwm_gym.sim.cabinet`."""
 
 
 @once

@@ -13,7 +13,9 @@ __all__ = [
     "CABINET",
     "CABINET_HALF",
     "DRAWER",
+    "DRAWER_FROM",
     "DRAWER_JOINT",
+    "DRAWER_TO",
     "HANDLE",
     "HANDLE_WIDTH",
     "PLACE",
@@ -74,6 +76,10 @@ DRAWER = (
 )
 """Tray, front panel and handle, in the drawer's frame."""
 
+DRAWER_FROM = (-_DEPTH, -_WIDTH, -_HALF_HEIGHT)
+"""Its least x, y and z in its own frame."""
+DRAWER_TO = (HANDLE[0] + 0.5 * HANDLE_WIDTH, _WIDTH, 0.5 * _PANEL - _ORIGIN)
+"""Its greatest ones."""
 TRAY = ((-_DEPTH + _TRAY_WALL, -_WIDTH + _TRAY_WALL), (_X - _WALL, _WIDTH - _TRAY_WALL))
 """Lowest and highest x and y within the tray, in the drawer's frame."""
 TRAY_FLOOR = -_HALF_HEIGHT + _TRAY_WALL

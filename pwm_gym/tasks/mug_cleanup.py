@@ -24,9 +24,7 @@ __all__ = ["MUG_CLEANUP", "MugCleanupExpert"]
 _OPEN, _SHUT, _STATIC = 0.12, 0.008, 0.2  # metres of the drawer's way, and rad/s: the simulator's thresholds
 _JOINTS = {"cabinet": FIXED, "drawer": DRAWER_JOINT}
 _LAYOUT = layout({"cabinet": 2560, "drawer": 2560, "mug": 1536}, points=512, joints=_JOINTS)
-_DRAWER = drawers.Drawer(
-    way=DRAWER_JOINT.upper, ahead=0.0335, bar=(0.006, 0.018), tray=(0.064, 0.259, 0.103), floor=0.006, place=0.139
-)
+_DRAWER = drawers.CABINET_DRAWER
 _held = objects.held("mug")
 _inside = drawers.inside(_DRAWER, "mug", edge=0.025, height=0.014)
 _is_open = drawers.open_to(_DRAWER, _OPEN)
@@ -52,8 +50,7 @@ def _put_in(points: Points, info: terms.Info) -> Tensor:
 
 def _shutting(points: Points, info: terms.Info) -> Tensor:
     """Reward for letting the mug go, reaching the handle, and shutting the drawer."""
-    done = 1.5 + 0.5 * _handle(points, info) - _opened(points, info)
-    return 5.0 + ~_held(points, info) * done
+    return 5.0 + ~_held(points, info) * (1.5 + 0.5 * _handle(points, info) - _opened(points, info))
 
 
 _REWARD = terms.stages(  # minus the simulator's normalised shaped reward, whose stages replace each other
@@ -97,8 +94,12 @@ def _simulator() -> Simulator:
     from pwm_gym.sim.maniskill import ManiSkillSimulator
     from pwm_gym.sim.maniskill.scenes import MugChoice
 
-    bodies = {**PANDA.links, "cabinet": "cabinet/cabinet", "drawer": "cabinet/drawer", "mug": MugChoice.actor}
-    return ManiSkillSimulator("MugCleanup-v1", bodies, control=PANDA.control, assets=MugChoice())
+    return ManiSkillSimulator(
+        "MugCleanup-v1",
+        {**PANDA.links, "cabinet": "cabinet/cabinet", "drawer": "cabinet/drawer", "mug": MugChoice.actor},
+        control=PANDA.control,
+        assets=MugChoice(),
+    )
 
 
 MUG_CLEANUP = register_task(

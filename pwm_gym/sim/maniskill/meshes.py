@@ -25,7 +25,8 @@ def collision_mesh(entity: Any, united: bool = False) -> trimesh.Trimesh:
     """
     from sapien.physx import PhysxRigidBaseComponent
 
-    primitives, pieces = [], []
+    primitives: list[trimesh.Trimesh] = []
+    pieces: list[trimesh.Trimesh] = []
     for component in entity.components:
         if isinstance(component, PhysxRigidBaseComponent):
             for shape in component.collision_shapes:
