@@ -113,6 +113,14 @@ def stack_simulator():
 
 
 @pytest.fixture(scope="session")
+def mug_simulator():
+    """MugCleanup's simulator, made once; each test resets it."""
+    simulator = get_task("MugCleanup").simulator()
+    yield simulator
+    simulator.close()
+
+
+@pytest.fixture(scope="session")
 def data_config(tmp_path_factory) -> CollectConfig:
     """A data set of 4 demonstrations and 4 practice episodes, and one of each kind in validation and test."""
     return CollectConfig(out=tmp_path_factory.mktemp("data") / "set", episodes=8, held_out=2, workers=1, shard=2)
