@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 __all__ = ["Box", "Cylinder", "Shape"]
@@ -16,6 +17,20 @@ class Box:
     centre: tuple[float, float, float] = (0.0, 0.0, 0.0)
     yaw: float = 0.0
     """Turn about z."""
+    pitch: float = 0.0
+    """Turn about its own y, after the yaw: its x then points down."""
+
+    @property
+    def quaternion(self) -> tuple[float, float, float, float]:
+        """Its turn, wxyz."""
+        about_z = math.cos(0.5 * self.yaw), math.sin(0.5 * self.yaw)
+        about_y = math.cos(0.5 * self.pitch), math.sin(0.5 * self.pitch)
+        return (
+            about_z[0] * about_y[0],
+            -about_z[1] * about_y[1],
+            about_z[0] * about_y[1],
+            about_z[1] * about_y[0],
+        )
 
 
 @dataclass(frozen=True)

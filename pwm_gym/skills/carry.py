@@ -11,8 +11,8 @@ from pwm_gym.skills.motion import servo
 
 __all__ = ["Carry"]
 
-_OVER = 0.008  # beside the place, within which the object is lowered
-_LOWERING = 0.02  # the same, once it is
+_BEGUN = 0.93  # of the clearance, below which the object counts as being lowered
+_LOWERING = 2.5  # times as far beside the place as when it begins, it may then be
 _LOW = 0.02  # below the clearance, from where it is lifted before it is moved sideways
 
 
@@ -24,6 +24,8 @@ class Carry:
     """Height over the place at which the object is carried."""
     speed: float = 0.03
     """Longest translation asked for in a step."""
+    beside: float = 0.008
+    """Distance beside the place within which the object is lowered."""
 
     def act(self, poses: np.ndarray, position: np.ndarray, place: np.ndarray, closing: np.ndarray) -> np.ndarray:
         """Action (7,) that brings the held object to its place.
@@ -36,8 +38,8 @@ class Carry:
         """
         tool = panda.tool_pose(poses)
         offset = place - position
-        over = _LOWERING if -offset[2] < 0.8 * self.clearance else _OVER
-        if np.hypot(*offset[:2]) > over:
+        over = _LOWERING if -offset[2] < _BEGUN * self.clearance else 1.0
+        if np.hypot(*offset[:2]) > over * self.beside:
             offset[2] += self.clearance
             if offset[2] > _LOW:
                 offset[:2] = 0.0

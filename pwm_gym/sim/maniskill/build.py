@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -29,7 +28,7 @@ def add_shapes(
     look.set_base_color(list(color))
     for shape in shapes:
         if isinstance(shape, Box):
-            pose = sapien.Pose(shape.centre, [math.cos(0.5 * shape.yaw), 0.0, 0.0, math.sin(0.5 * shape.yaw)])
+            pose = sapien.Pose(shape.centre, shape.quaternion)
             half = [0.5 * side for side in shape.size]
             builder.add_box_collision(pose, half, material, density)
             builder.add_box_visual(pose, half, look)

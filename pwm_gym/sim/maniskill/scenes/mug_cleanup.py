@@ -10,18 +10,17 @@ import sapien
 import torch
 from mani_skill.envs.sapien_env import BaseEnv
 from mani_skill.sensors.camera import CameraConfig
-from mani_skill.utils import sapien_utils
 from mani_skill.utils.registration import register_env
 from mani_skill.utils.scene_builder.table import TableSceneBuilder
 from mani_skill.utils.structs import Actor, Pose
 
 from pwm_gym.sim.cabinet import CABINET, CABINET_HALF, DRAWER, DRAWER_JOINT, HANDLE, PLACE, STROKE, TRAY, TRAY_FLOOR
 from pwm_gym.sim.maniskill.build import add_shapes
+from pwm_gym.sim.maniskill.scenes.common import ROBOT_BASE, about_z, nearness, render_camera, sensor_camera
 from pwm_gym.sim.mugs import MUGS, get_mug
 
 __all__ = ["MugChoice", "MugCleanupEnv"]
 
-_BASE = (-0.615, 0.0, 0.0)  # the robot's, as in ManiSkill's other tasks on a table
 _CABINET = (0.21, 0.15)  # middle, in the plane
 _CABINET_SPREAD = (0.015, 0.015, 0.08)  # x, y and yaw, to either side
 _MUG_FROM, _MUG_TO = (-0.13, -0.26), (0.0, -0.15)  # corners of where it stands
@@ -73,16 +72,14 @@ class MugCleanupEnv(BaseEnv):
 
     @property
     def _default_sensor_configs(self) -> list[CameraConfig]:
-        pose = sapien_utils.look_at(eye=[-0.3, -0.5, 0.6], target=[0.05, 0.0, 0.05])
-        return [CameraConfig("base_camera", pose, 128, 128, np.pi / 2, 0.01, 100)]
+        return [sensor_camera()]
 
     @property
     def _default_human_render_camera_configs(self) -> CameraConfig:
-        pose = sapien_utils.look_at([-0.4, -0.7, 0.7], [0.05, 0.0, 0.1])
-        return CameraConfig("render_camera", pose, 512, 512, 1, 0.01, 100)
+        return render_camera()
 
     def _load_agent(self, options: dict[str, Any]) -> None:
-        super()._load_agent(options, sapien.Pose(p=_BASE))
+        super()._load_agent(options, ROBOT_BASE)
 
     def _load_scene(self, options: dict[str, Any]) -> None:
         self.table_scene = TableSceneBuilder(self, robot_init_qpos_noise=self.robot_init_qpos_noise)
@@ -130,12 +127,12 @@ class MugCleanupEnv(BaseEnv):
             spread = (2 * torch.rand((count, 3)) - 1) * torch.tensor(_CABINET_SPREAD)
             places = torch.tensor([*_CABINET, CABINET_HALF[2]]).repeat(count, 1)
             places[:, :2] += spread[:, :2]
-            self.cabinet.set_pose(Pose.create_from_pq(places, _about_z(np.pi + spread[:, 2])))
+            self.cabinet.set_pose(Pose.create_from_pq(places, about_z(np.pi + spread[:, 2])))
             self.cabinet.set_qpos(torch.zeros((count, 1)))
             self.cabinet.set_qvel(torch.zeros((count, 1)))
             low, high = torch.tensor(_MUG_FROM), torch.tensor(_MUG_TO)
             stand = torch.cat([low + torch.rand((count, 2)) * (high - low), self.mug_half[env_idx, None]], -1)
-            self.mug.set_pose(Pose.create_from_pq(stand, _about_z(2 * np.pi * torch.rand(count))))
+            self.mug.set_pose(Pose.create_from_pq(stand, about_z(2 * np.pi * torch.rand(count))))
 
     def _in_drawer(self, point: tuple[float, float, float]) -> torch.Tensor:
         """Place (B, 3) of a point of the drawer's frame."""
@@ -169,13 +166,13 @@ class MugCleanupEnv(BaseEnv):
     def compute_dense_reward(self, obs: Any, action: torch.Tensor, info: dict[str, torch.Tensor]) -> torch.Tensor:
         """Shaped reward (B,) from 0 to 8: open (to 2), put the mug in (to 5), shut (to 7), success."""
         tool = self.agent.tcp_pos
-        reach_handle = _nearness(tool, self._in_drawer(HANDLE))
+        reach_handle = nearness(tool, self._in_drawer(HANDLE))
         opened = (info["opening"] / STROKE).clamp(0.0, 1.0)
         reward = reach_handle + opened
 
         held = info["is_grasped"].float()
         place = self._in_drawer(PLACE) + torch.stack([0 * self.mug_half, 0 * self.mug_half, self.mug_half], -1)
-        put_in = 2.0 + _nearness(tool, self.mug.pose.p) + held * (1.0 + _nearness(self.mug.pose.p, place))
+        put_in = 2.0 + nearness(tool, self.mug.pose.p) + held * (1.0 + nearness(self.mug.pose.p, place))
         reward = torch.where(info["opening"] >= _OPEN, put_in, reward)
 
         shut = 5.0 + (1.0 - held) * (0.5 + 0.5 * reach_handle + 1.0 - opened)
@@ -187,17 +184,6 @@ class MugCleanupEnv(BaseEnv):
     ) -> torch.Tensor:
         """The shaped reward (B,) in [0, 1]."""
         return self.compute_dense_reward(obs=obs, action=action, info=info) / _WHOLE
-
-
-def _nearness(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
-    """1 where points (B, 3) coincide, falling with their distance."""
-    return 1.0 - torch.tanh(5.0 * torch.linalg.norm(a - b, dim=-1))
-
-
-def _about_z(angle: torch.Tensor) -> torch.Tensor:
-    """Quaternions (B, 4) of turns (B,) about the vertical."""
-    zero = torch.zeros_like(angle)
-    return torch.stack([torch.cos(0.5 * angle), zero, zero, torch.sin(0.5 * angle)], -1)
 
 
 class MugChoice:
