@@ -11,7 +11,7 @@ from pwm_gym.tasks import Task, get_task
 
 DOCS = Path(__file__).parent
 PAGE = DOCS / "tasks.md"
-_NAMES = ("PickCube", "StackCube", "PickYCB", "MugCleanup")
+_NAMES = ("PickCube", "StackCube", "PickYCB", "MugCleanup", "Coffee")
 _INTRO = """# Tasks
 
 Written by `python docs/generate_tasks.py`. Spaces, rewards and infos that all tasks share:
@@ -20,6 +20,7 @@ Written by `python docs/generate_tasks.py`. Spaces, rewards and infos that all t
 _MORE = {
     "PickYCB": "Where its objects come from, and which are kept out of training: [ycb.md](ycb.md).\n",
     "MugCleanup": "In ManiSkill, too: `import pwm_gym.sim.maniskill.scenes` registers `MugCleanup-v1` there.\n",
+    "Coffee": "In ManiSkill, too: `import pwm_gym.sim.maniskill.scenes` registers `Coffee-v1` there.\n",
 }
 
 

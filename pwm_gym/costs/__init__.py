@@ -1,6 +1,6 @@
 """Point-cloud costs, success rules and grasp rules, by name."""
 
-from pwm_gym.costs import contacts, drawers, motion, objects, terms
+from pwm_gym.costs import contacts, drawers, lids, motion, objects, terms
 from pwm_gym.costs.registry import (
     COSTS,
     GRASPS,
@@ -29,6 +29,7 @@ __all__ = [
     "get_cost",
     "get_grasp",
     "get_success",
+    "lids",
     "motion",
     "objects",
     "register_cost",

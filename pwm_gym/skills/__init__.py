@@ -1,5 +1,6 @@
 """What scripted experts share: skills without memory, whose phases are told from poses alone (NumPy)."""
 
+from pwm_gym.skills.brew import Brew
 from pwm_gym.skills.carry import Carry
 from pwm_gym.skills.clean_up import CleanUp
 from pwm_gym.skills.grasp import TopGrasp
@@ -11,6 +12,7 @@ from pwm_gym.skills.place import Place
 from pwm_gym.skills.push import Push
 
 __all__ = [
+    "Brew",
     "Carry",
     "CleanUp",
     "Grasp",

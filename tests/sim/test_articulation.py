@@ -1,22 +1,24 @@
-"""Articulated objects as entities of a ManiSkill simulator: MugCleanup's cabinet with its drawer."""
+"""Articulated objects as entities of a ManiSkill simulator: MugCleanup's drawer and Coffee's lid."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
+from scipy.spatial.transform import Rotation
 
 from pwm_gym.errors import SceneError
 from pwm_gym.robots.joints import JointTree
 from pwm_gym.scene import Scene, sample_clouds
 from pwm_gym.scene.se3 import matrix_from_pose7
 from pwm_gym.sim.cabinet import CABINET, DRAWER, PLACE, STROKE
+from pwm_gym.sim.coffee_machine import LID, LID_JOINT, MACHINE, OPEN_ANGLE, POD
 from pwm_gym.sim.maniskill.poses import compose
 from pwm_gym.sim.mugs import MUGS, get_mug
 from pwm_gym.sim.shapes import Box
 from pwm_gym.tasks import get_task
 
-TASK = get_task("MugCleanup")
+TASK, COFFEE = get_task("MugCleanup"), get_task("Coffee")
 CABINET_AT, DRAWER_AT, MUG_AT = (TASK.layout.index(name) for name in ("cabinet", "drawer", "mug"))
 REST = np.array([0, 0, 0, 0, 0, 0, 1.0], np.float32)
 
@@ -55,10 +57,11 @@ def opening(simulator):
     return float(position[0])
 
 
-def joint(simulator):
-    """Position (m) and velocity (m a step) of the drawer's joint, as the simulator says."""
-    cabinet = simulator.env.unwrapped.cabinet
-    return float(cabinet.qpos[0, 0]), float(cabinet.qvel[0, 0]) / simulator.env.unwrapped.control_freq
+def joint(simulator, name="cabinet"):
+    """Position and velocity a step of an articulated object's joint, as the simulator says."""
+    base = simulator.env.unwrapped
+    articulation = base.scene.articulations[name]
+    return float(articulation.qpos[0, 0]), float(articulation.qvel[0, 0]) / base.control_freq
 
 
 @pytest.mark.parametrize("amount", [0.0, 0.07, STROKE])
@@ -149,19 +152,44 @@ def depth(points, shape):
     """How deep (n,) points (n, 3) are in a shape; negative outside."""
     local = points - np.asarray(shape.centre)
     if isinstance(shape, Box):
-        cos, sin = np.cos(shape.yaw), np.sin(shape.yaw)
-        local = local @ np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])
+        local = Rotation.from_quat(shape.quaternion, scalar_first=True).inv().apply(local)
         return (0.5 * np.array(shape.size) - np.abs(local)).min(-1)
     beside = shape.radius - np.linalg.norm(local[:, :2], axis=-1)
     return np.minimum(beside, 0.5 * shape.height - np.abs(local[:, 2]))
 
 
-def test_clouds_lie_on_outer_surfaces(mug_simulator):
+def check_surfaces(simulator, layout, solids):
+    clouds = sample_clouds(simulator.meshes(), layout, 0)
+    for name, shapes in solids.items():
+        deepest = np.max([depth(clouds[layout[name].slice], shape) for shape in shapes], 0)
+        assert np.abs(deepest).max() < 2e-4, name
+        assert simulator.meshes()[name].is_volume
+
+
+def test_clouds_lie_on_outer_surfaces(mug_simulator, coffee_simulator):
     """Where boxes overlap, none of their hidden faces is sampled."""
     mug_simulator.reset(3)
-    clouds = sample_clouds(mug_simulator.meshes(), TASK.layout, TASK.cloud_seed)
     mug = get_mug(mug_simulator.assets()[MUG_AT])
-    for name, shapes in (("cabinet", CABINET), ("drawer", DRAWER), ("mug", mug.shapes())):
-        deepest = np.max([depth(clouds[TASK.layout[name].slice], shape) for shape in shapes], 0)
-        assert np.abs(deepest).max() < 2e-4, name
-    assert mug_simulator.meshes()["mug"].is_volume
+    check_surfaces(mug_simulator, TASK.layout, {"cabinet": CABINET, "drawer": DRAWER, "mug": mug.shapes()})
+    check_surfaces(coffee_simulator, COFFEE.layout, {"machine": MACHINE, "lid": LID, "pod": POD})
+
+
+@pytest.mark.parametrize("degrees", [0.0, 40.0, 100.0])
+def test_a_lid_is_restored_from_its_pose(coffee_simulator, degrees):
+    coffee_simulator.reset(1)
+    poses, lid = np.stack([coffee_simulator.poses()] * 3), COFFEE.layout.index("lid")
+    assert joint(coffee_simulator, "machine") == pytest.approx((OPEN_ANGLE, 0.0), abs=1e-5)
+    angle = np.radians(degrees)
+    for k in range(3):
+        turn = Rotation.from_rotvec((angle - 0.03 * k * (degrees == 40.0)) * np.array(LID_JOINT.axis))
+        opened = np.r_[LID_JOINT.origin[:3], turn.as_quat(scalar_first=True)]
+        poses[k, lid] = compose(poses[k, COFFEE.layout.index("machine")], opened)
+    clouds = np.zeros((COFFEE.layout.points, 3), np.float32)
+    scene = Scene("Coffee", COFFEE.layout, clouds, poses, coffee_simulator.goal(), coffee_simulator.joints())
+    coffee_simulator.restore(scene)
+    assert joint(coffee_simulator, "machine") == pytest.approx((angle, 0.03 * (degrees == 40.0)), abs=1e-5)
+    np.testing.assert_allclose(coffee_simulator.poses(), poses[0], atol=1e-5)
+    frames = matrix_from_pose7(torch.as_tensor(coffee_simulator.poses())).float()
+    tree = JointTree(COFFEE.layout, [lid])
+    torch.testing.assert_close(tree.place(frames, tree.positions(frames))[lid], frames[lid], atol=1e-5, rtol=0)
+    assert float(tree.positions(frames)[0]) == pytest.approx(angle, abs=1e-5)

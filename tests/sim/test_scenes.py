@@ -8,11 +8,15 @@ import torch
 from pwm_gym.sim.mugs import MUGS
 
 
-@pytest.fixture(scope="module")
-def env():
+def make(name):
     import pwm_gym.sim.maniskill.scenes  # noqa: F401  (registers the tasks)
 
-    env = gym.make("MugCleanup-v1", obs_mode="state_dict", render_backend="none", sim_backend="physx_cpu")
+    return gym.make(name, obs_mode="state_dict", render_backend="none", sim_backend="physx_cpu")
+
+
+@pytest.fixture(scope="module")
+def env():
+    env = make("MugCleanup-v1")
     yield env
     env.close()
 
@@ -44,3 +48,16 @@ def test_the_reward_is_normalised(env):
     for _ in range(4):
         _, reward, terminated, _, info = env.step(env.action_space.sample())
         assert 0 < float(reward) < 1 and not terminated and not info["success"]
+
+
+def test_coffee_starts_with_its_lid_open(request):
+    env = make("Coffee-v1")
+    request.addfinalizer(env.close)
+    found = []
+    for seed in range(4):
+        extra = env.reset(seed=seed)[0]["extra"]
+        assert np.degrees(float(extra["angle"][0])) == pytest.approx(105, abs=0.1)
+        found.append(np.r_[extra["pod_pose"][0], extra["machine_pose"][0]])
+    assert (np.std(found, axis=0)[[0, 1, 7, 8]] > 2e-3).all()
+    _, reward, _, _, info = env.step(env.action_space.sample())
+    assert 0 < float(reward) < 1 and not info["success"]

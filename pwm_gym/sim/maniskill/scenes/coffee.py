@@ -110,7 +110,9 @@ class CoffeeEnv(BaseEnv):
             self.machine.set_qpos(torch.full((count, 1), OPEN_ANGLE))
             self.machine.set_qvel(torch.zeros((count, 1)))
             low, high = torch.tensor(_POD_FROM), torch.tensor(_POD_TO)
-            stand = torch.cat([low + torch.rand((count, 2)) * (high - low), torch.full((count, 1), 0.5 * POD_HEIGHT)], -1)
+            stand = torch.cat(
+                [low + torch.rand((count, 2)) * (high - low), torch.full((count, 1), 0.5 * POD_HEIGHT)], -1
+            )
             self.pod.set_pose(Pose.create_from_pq(stand, about_z(2 * np.pi * torch.rand(count))))
 
     def _place(self) -> torch.Tensor:
