@@ -4,19 +4,17 @@ from __future__ import annotations
 
 from pwm_gym.envs.observation_models import OBSERVATIONS, CameraConfig, ObservationModel
 from pwm_gym.errors import unknown_name
-from pwm_gym.scene import Layout
 from pwm_gym.tasks import Task
 
 __all__ = ["build_observation_model"]
 
 
-def build_observation_model(observation: str, task: Task, layout: Layout, camera: CameraConfig) -> ObservationModel:
+def build_observation_model(observation: str, task: Task, camera: CameraConfig) -> ObservationModel:
     """The observation model called ``observation``, one of :data:`~pwm_gym.envs.observation_models.OBSERVATIONS`.
 
     Args:
         observation: name.
         task: task of the scenes.
-        layout: the scenes' entities and points.
         camera: configuration of a camera's observation.
 
     Raises:
@@ -30,5 +28,5 @@ def build_observation_model(observation: str, task: Task, layout: Layout, camera
     if observation == "complete":
         return camera_models.CompleteObservation()
     if observation == "partial":
-        return camera_models.PartialObservation(layout, camera)
-    return camera_models.CompletedObservation(task, layout, camera)
+        return camera_models.PartialObservation(camera)
+    return camera_models.CompletedObservation(task, camera)

@@ -66,22 +66,21 @@ class PartialObservation:
     """Shows the points that a camera sees, repeated up to each entity's count.
 
     Args:
-        layout: the scenes' entities and points.
         camera: tells the viewpoint.
     """
 
-    def __init__(self, layout: Layout, camera: CameraConfig) -> None:
+    def __init__(self, camera: CameraConfig) -> None:
         self.info: dict[str, Any] = {}
-        self._layout, self._camera = layout, depth_camera(camera.viewpoint)
-        self._assets: tuple[str, ...] | None = None
+        self._camera = depth_camera(camera.viewpoint)
+        self._seen: tuple[Layout, tuple[str, ...]] | None = None
         self._view: PartialView | None = None
 
     def reset(self, seed: int, bodies: Bodies) -> None:
         """Begin an episode; nothing is drawn at random."""
-        if bodies.assets != self._assets:
-            most = max(e.points for e in self._layout)
-            self._view = PartialView(bodies.meshes(), self._layout, self._camera, most)
-            self._assets = bodies.assets
+        if (bodies.layout, bodies.assets) != self._seen:
+            most = max(e.points for e in bodies.layout)
+            self._view = PartialView(bodies.meshes(), bodies.layout, self._camera, most)
+            self._seen = bodies.layout, bodies.assets
 
     def __call__(self, truth: Scene) -> Scene:
         """The scene with the points that are seen."""
@@ -94,7 +93,6 @@ class CompletedObservation:
 
     Args:
         task: task of the scenes.
-        layout: the scenes' entities and points.
         camera: viewpoint, sensor and completer.
 
     Raises:
@@ -102,27 +100,29 @@ class CompletedObservation:
         UnknownNameError: an unknown viewpoint, sensor or checkpoint of completion.
     """
 
-    def __init__(self, task: Task, layout: Layout, camera: CameraConfig) -> None:
+    def __init__(self, task: Task, camera: CameraConfig) -> None:
         if task.robot.cloud is None:
             raise PwmGymError(f"robot {task.robot.name!r} has no cloud of its links; 'completed' observations need it")
         self.info: dict[str, Any] = {}
-        self._task, self._layout, self._sensor = task, layout, camera.sensor
+        self._task, self._sensor = task, camera.sensor
         get_sensor(camera.sensor)  # an unknown name is refused now
         self._camera = depth_camera(camera.viewpoint, CAMERA_SCALE)
         self._completer = build_completer(camera.completer)
+        self._layout: Layout | None = None
         self._assets: tuple[str, ...] | None = None
         self._observer: RenderedObserver | None = None
         self._last: Scene | None = None
 
     def reset(self, seed: int, bodies: Bodies) -> None:
         """Begin an episode; ``seed`` is of the sensor's noise."""
-        if self._observer is None:
+        layout = bodies.layout
+        if self._observer is None or layout != self._layout:
             self._observer = build_observer(
-                self._task, self._layout, bodies.meshes(), bodies.clouds, self._completer, self._camera, self._sensor
+                self._task, layout, bodies.meshes(), bodies.clouds, self._completer, self._camera, self._sensor
             )
         elif bodies.assets != self._assets:
-            self._observer.renderer = FrameRenderer(bodies.meshes(), self._layout, self._camera, self._sensor)
-        self._assets, self._last = bodies.assets, None
+            self._observer.renderer = FrameRenderer(bodies.meshes(), layout, self._camera, self._sensor)
+        self._layout, self._assets, self._last = layout, bodies.assets, None
         self._observer.reset(seed)
 
     def __call__(self, truth: Scene) -> Scene:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from pwm_gym.errors import PwmGymError, unknown_name
-from pwm_gym.scene import Scene
+from pwm_gym.scene import Layout, Scene
 
 if TYPE_CHECKING:
     import trimesh
@@ -60,10 +60,12 @@ class CameraConfig:
 class Bodies:
     """What a camera can see in one episode."""
 
+    layout: Layout
+    """The task's entities, and further bodies after them."""
     assets: tuple[str, ...]
     """Name of each entity's asset (E,)."""
     clouds: np.ndarray
-    """Canonical points (N, 3), metres."""
+    """Canonical points (N, 3) of the task's entities, metres."""
     meshes: Callable[[], Mapping[str, trimesh.Trimesh]]
     """Makes each entity's surface in its own frame, metres."""
 

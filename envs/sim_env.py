@@ -93,8 +93,8 @@ class SimEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
     ## Starting state
     The simulator's initial distribution; `reset(seed=s)` is the simulator's episode of seed s. A scene with
     joint positions (`env.unwrapped.scene(truth=True)` of this environment) starts there with
-    `reset(options={"scene": scene})`, also with further free entities (clutter) after the task's own, which the
-    "complete" observation leaves out; `env.unwrapped.scene(truth=True)` has them.
+    `reset(options={"scene": scene})`, also with further free entities (clutter) after the task's own, which
+    observations leave out; `env.unwrapped.scene()` has them.
 
     ## Episode end
     The simulator's own success terminates; `gym.make` adds the time limit.
@@ -136,8 +136,7 @@ class SimEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
         self.rules = Rules(self.task, cost, grasp)
         self.action_space = action_space(self.task.action_size)
         self.observation_space = observation_space(self.layout, self.task.goal_size)
-        self._observation = build_observation_model(observation, self.task, self.layout, CameraConfig.of(camera))
-        self._all_seen = observation == "complete"
+        self._observation = build_observation_model(observation, self.task, CameraConfig.of(camera))
         self.simulator: Simulator = self.task.make_simulator(objects)
         self._clouds = AssetClouds(self.task, self.layout)
         self._scene: Scene | None = None  # that the episode began with
@@ -196,7 +195,7 @@ class SimEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
         """Begin the simulator's episode of ``seed``, or of a random one."""
         seeds = RANGES["plan_test"]
         self.simulator.reset(int(self.np_random.integers(seeds.start, seeds.stop)) if seed is None else seed)
-        bodies, poses = self._bodies(), self.simulator.poses()
+        bodies, poses = self._bodies(self.layout), self.simulator.poses()
         self._poses = deque([poses] * 3, maxlen=3)
         self._scene = Scene(
             task=self.task.name,
@@ -209,21 +208,21 @@ class SimEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
         self._action = last_action(self._scene, self.task.control)
         return bodies
 
-    def _bodies(self) -> Bodies:
-        """What the present episode's entities look like."""
-        assets, meshes = tuple(self.simulator.assets())[: len(self.layout)], cache(self.simulator.meshes)
-        return Bodies(assets, self._clouds(assets, meshes), meshes)
+    def _bodies(self, layout: Layout) -> Bodies:
+        """What the present episode's entities look like, of which some may follow the task's own."""
+        assets, meshes = tuple(self.simulator.assets()), cache(self.simulator.meshes)
+        return Bodies(layout, assets, self._clouds(assets[: len(self.layout)], meshes), meshes)
 
     def _start_from(self, scene: Scene) -> Bodies:
         if not isinstance(scene, Scene):
             raise PwmGymError(f"scene is a {type(scene).__name__}; expected pwm_gym.Scene")
         further = scene.layout.entities[len(self.layout) :]
-        scene.validate(self.task.name, self.layout, self.task.goal_size, extra=self._all_seen)
+        scene.validate(self.task.name, self.layout, self.task.goal_size, extra=True)
         scene = scene.coarsen(self.layout.plus(further))
         action = last_action(scene, self.task.control)
         self.simulator.restore(scene)
-        bodies = self._bodies()
-        self._scene, self._action = replace(scene, assets=tuple(self.simulator.assets())), action
+        bodies = self._bodies(scene.layout)
+        self._scene, self._action = replace(scene, assets=bodies.assets), action
         self._poses = deque(scene.poses, maxlen=3)
         return bodies
 

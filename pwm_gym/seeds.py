@@ -5,6 +5,8 @@ A seed's range tells what it may be used for, so that nothing is evaluated on wh
 
 from __future__ import annotations
 
+from pwm_gym.errors import PwmGymError
+
 __all__ = ["RANGES", "seed_range", "split_of"]
 
 _SPAN = 100_000
@@ -15,10 +17,14 @@ RANGES: dict[str, range] = {name: range(i * _SPAN, (i + 1) * _SPAN) for i, name 
 
 
 def seed_range(split: str, count: int, offset: int = 0) -> range:
-    """First ``count`` seeds of ``split`` after ``offset``."""
+    """First ``count`` seeds of ``split`` after ``offset``.
+
+    Raises:
+        PwmGymError: a negative number, or more than there are.
+    """
     seeds = RANGES[split]
-    if offset + count > len(seeds):
-        raise ValueError(f"{split} has {len(seeds)} seeds; {offset} + {count} were asked for")
+    if min(count, offset) < 0 or offset + count > len(seeds):
+        raise PwmGymError(f"{split} has {len(seeds)} seeds; {offset} + {count} were asked for")
     return seeds[offset : offset + count]
 
 

@@ -112,6 +112,28 @@ def stack_simulator():
     simulator.close()
 
 
+@pytest.fixture(scope="module")
+def only_shapes(tmp_path_factory):
+    """Folder of the generated shapes, with no YCB objects on this machine."""
+    from pwm_gym.assets import generated_assets
+
+    folder = tmp_path_factory.mktemp("assets")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("MS_ASSET_DIR", str(folder / "none"))
+        patch.setenv("XDG_CACHE_HOME", str(folder))
+        yield generated_assets()
+
+
+@pytest.fixture(scope="module")
+def bars(only_shapes, tmp_path_factory):
+    """A small data set of PickYCB whose object is always the bar, for want of others kept out of training."""
+    config = CollectConfig(
+        task="PickYCB", objects="shape_bar", practice=1.0, episodes=1, held_out=2, workers=1,
+        out=tmp_path_factory.mktemp("bars") / "set",
+    )  # fmt: skip
+    return collect(config, progress=False)
+
+
 @pytest.fixture(scope="session")
 def mug_simulator():
     """MugCleanup's simulator, made once; each test resets it."""

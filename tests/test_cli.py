@@ -66,6 +66,20 @@ def test_help_lists_every_command(capsys):
         (["complete", "--evaluate"], "--evaluate has no objects to complete; expected --meshes FOLDER"),
         (["evaluate", "--table", "horizn"], "Did you mean 'horizon'"),
         (["evaluate", "--table", "shared"], "expected --checkpoints FOLDER"),
+        (["plan", "--episodes", "0"], "--episodes 0; expected at least 1"),
+        (["plan", "--max-steps", "0"], "--max-steps 0; expected at least 1"),
+        (["plan", "--offset", "-5"], "--offset -5; expected at least 0"),
+        (["plan", "--offset", "99999"], "plan_test has 100000 seeds; 99999 + 20 were asked for"),
+        (["demo", "--episodes", "0"], "--episodes 0; expected at least 1"),
+        (["evaluate", "--table", "distractors", "--episodes", "0"], "--episodes 0; expected at least 1"),
+        (["evaluate", "--every", "0"], "--every 0; expected at least 1"),
+        (["evaluate", "--objects", "unseen"], "--objects unseen; expected a --table that plans"),
+        (["evaluate", "--table", "distractors", "--objects", "seen"], "has the objects of the checkpoint's scenes"),
+        (
+            ["evaluate", "--table", "planning", "--fit-data", "mine"],
+            "--fit-data mine; a table's baselines are fitted on",
+        ),
+        (["evaluate", "--table", "planning", "--objects", "seen"], "the objects of PickCube are always the same"),
         (["evaluate"], "data-sets/PickCube is not a data set"),
         (["train"], "data-sets/PickCube is not a data set"),
     ],
@@ -169,9 +183,9 @@ def short_episodes(data_folder, cut, tmp_path):
     return folder
 
 
-def test_evaluate_writes_its_table(short_episodes, tmp_path, capsys):
+def test_evaluate_writes_its_table(short_episodes, data_folder, tmp_path, capsys):
     args = f"evaluate --data {short_episodes} --no-floors --threads 1 --completer hull --json {tmp_path}/table.json"
-    args += f" --strips {tmp_path}/strips"
+    args += f" --strips {tmp_path}/strips --fit-data {data_folder}"
     main(args.split())
     results = json.loads((tmp_path / "table.json").read_text())
     completed = {f"completed, {view}" for view in ("right", "left", "front")}
@@ -180,7 +194,7 @@ def test_evaluate_writes_its_table(short_episodes, tmp_path, capsys):
     assert all(results["rows"][row]["practice"]["chamfer_l1"] > truth for row in completed)
     assert results["rows"]["still"]["practice"]["episodes"] == 1
     assert results["long_rollouts"]["finite"] in (True, False)
-    assert results["objects"] == ["cube"]
+    assert results["objects"] == ["cube"] and results["fitted_on"] == str(data_folder)
     out = capsys.readouterr().out
     assert "PickCube, practice: 1 test episodes" in out and "ceiling" in out and "cube: mean error" in out
     with Image.open(tmp_path / "strips" / "PickCube.png") as strips:

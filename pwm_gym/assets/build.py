@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from multiprocessing import get_context
+from functools import partial
 from pathlib import Path
 
 import trimesh
@@ -17,6 +16,7 @@ from pwm_gym.assets.pieces import PieceConfig, convex_pieces
 from pwm_gym.completion.meshes import load_meshes
 from pwm_gym.errors import PwmGymError
 from pwm_gym.files import write_atomically
+from pwm_gym.workers import work_through
 
 __all__ = ["build_ycb"]
 
@@ -53,7 +53,8 @@ def build_ycb(
         config: how the meshes are cut into convex pieces.
 
     Raises:
-        PwmGymError: the source cannot be read, or a mesh in it is empty, not finite, flat or not in metres.
+        PwmGymError: the source cannot be read, a mesh in it is empty, not finite, flat or not in metres, or one of
+            several processes died.
         UnknownNameError: an object is not in the source, or not one of YCB's.
     """
     folder = AssetFolder(Path(root).expanduser())
@@ -82,18 +83,13 @@ def _build_all(
     """Build each object, and give its name when it is done."""
     if workers < 1:
         raise PwmGymError(f"workers is {workers}; expected at least 1")
-    if workers == 1:
-        for name, mesh in meshes.items():
-            yield _build(folder, name, mesh, config)
-        return
-    os.environ.setdefault("OMP_NUM_THREADS", "1")  # CoACD's threads; the processes are enough
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        jobs = [pool.submit(_build, folder, name, mesh, config) for name, mesh in meshes.items()]
-        for job in as_completed(jobs):
-            yield job.result()
+    if workers > 1:
+        os.environ.setdefault("OMP_NUM_THREADS", "1")  # CoACD's threads; the processes are enough
+    yield from work_through(partial(_build, folder, config), list(meshes.items()), workers)
 
 
-def _build(folder: AssetFolder, name: str, mesh: trimesh.Trimesh, config: PieceConfig | None) -> str:
+def _build(folder: AssetFolder, config: PieceConfig | None, named: tuple[str, trimesh.Trimesh]) -> str:
+    name, mesh = named
     centred = trimesh.Trimesh(mesh.vertices - mesh.bounds.mean(0), mesh.faces, process=False)
     try:
         folder.write(name, centred, convex_pieces(centred, config))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import multiprocessing as mp
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -15,6 +14,7 @@ from pwm_gym.collection.behaviours import Behaviour, Demonstration, OnPolicy, Pr
 from pwm_gym.data.dataset import FORMAT, asset_path, read_header, save_asset
 from pwm_gym.data.episodes import FORMAT as EPISODES
 from pwm_gym.data.episodes import KINDS, Episode, read_shard, write_shard
+from pwm_gym.data.simulated import check_objects
 from pwm_gym.dynamics.checkpoint import load_checkpoint, resolve
 from pwm_gym.errors import DatasetError
 from pwm_gym.files import write_atomically
@@ -23,6 +23,7 @@ from pwm_gym.scene import SCHEMA, sample_clouds
 from pwm_gym.seeds import RANGES
 from pwm_gym.sim import Simulator
 from pwm_gym.tasks import Task, get_task
+from pwm_gym.workers import work_through
 
 __all__ = ["CollectConfig", "collect", "record_episode"]
 
@@ -101,6 +102,7 @@ def collect(config: CollectConfig, progress: bool = True) -> Path:
 
     Raises:
         DatasetError: the folder holds a data set of another task or configuration, or lost files meanwhile.
+        PwmGymError: the task has no such objects, or one of several processes died.
     """
     task = get_task(config.task)
     _write_header(config, task)
@@ -108,7 +110,7 @@ def collect(config: CollectConfig, progress: bool = True) -> Path:
     jobs = [job for job in every if not _is_whole(job, task)]
     total = sum(len(job.seeds) for job in jobs)
     with tqdm(total=total, unit="episode", disable=not progress, desc=f"collect {task.name}") as bar:
-        for count in _run(jobs, config.workers):
+        for count in work_through(_collect_shard, jobs, config.workers, _one_thread):
             bar.update(count)
     _check_complete(config.folder, every)
     return config.folder
@@ -141,6 +143,7 @@ def _write_header(config: CollectConfig, task: Task) -> None:
         if found != settings:
             raise DatasetError(f"{config.folder} was collected with {found}; expected {settings}")
         return
+    check_objects(task, config.objects)
     write_atomically(path, json.dumps(header).encode())
 
 
@@ -166,14 +169,6 @@ def _is_whole(job: _Job, task: Task) -> bool:
         return len(read_shard(job.path, task.name)) == len(job.seeds)
     except DatasetError:
         return False
-
-
-def _run(jobs: list[_Job], workers: int) -> Iterator[int]:
-    if workers <= 1 or len(jobs) <= 1:
-        yield from map(_collect_shard, jobs)
-        return
-    with mp.get_context("spawn").Pool(min(workers, len(jobs)), initializer=_one_thread) as pool:
-        yield from pool.imap_unordered(_collect_shard, jobs)
 
 
 def _one_thread() -> None:

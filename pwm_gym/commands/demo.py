@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pwm_gym.commands.numbers import check_least
+
 if TYPE_CHECKING:
     import gymnasium as gym
 
@@ -46,6 +48,7 @@ class Demo:
         from pwm_gym.seeds import seed_range
         from pwm_gym.tasks import get_task
 
+        check_least(self, episodes=1, threads=1)
         prepare_process(self.threads)
         task = get_task(self.task)
         checkpoint = load_checkpoint(resolve(self.checkpoint, self.task))

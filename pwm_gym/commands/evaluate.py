@@ -4,18 +4,22 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pwm_gym.commands.folders import data_folder
+from pwm_gym.commands.numbers import check_least
 
 if TYPE_CHECKING:
+    from pwm_gym.cameras import DepthCamera
     from pwm_gym.data import Dataset, Episode
     from pwm_gym.dynamics import WorldModel
+    from pwm_gym.perception import RenderedObserver
     from pwm_gym.planning import Run
-    from pwm_gym.scene import RigidState
+    from pwm_gym.scene import RigidState, Scene
     from pwm_gym.tasks import Task
 
 __all__ = ["Evaluate"]
@@ -33,8 +37,10 @@ class Evaluate:
     task: str = "PickCube"
     """Registered task."""
     data: Path | None = None
-    """Folder of a data set; the baseline without learning is fitted on its training split. None takes ``data-sets/``
-    and the task's name."""
+    """Folder of a data set. None takes ``data-sets/`` and the task's name."""
+    fit_data: Path | None = None
+    """Folder of a data set on whose training split the baselines without learning are fitted: the checkpoint's own,
+    where ``data`` has objects that were kept out of training. None takes ``data``."""
     checkpoint: str = "default"
     """A folder or a shipped checkpoint's name."""
     split: str = "test"
@@ -61,6 +67,9 @@ class Evaluate:
     """Table "shared": folders of checkpoints, each a row."""
     tasks: tuple[str, ...] = ()
     """Table "shared": its columns; none given takes ``--task``. Each task's data set is the one in ``data-sets/``."""
+    objects: str = ""
+    """Tables that plan: what episodes draw their objects from, where they differ: one of the task's sets, such as
+    "unseen", or an object's name; the task's default if not given."""
     episodes: int = 50
     """Tables "shared" and "distractors": episodes."""
     full: bool = False
@@ -78,6 +87,7 @@ class Evaluate:
 
     def run(self) -> None:
         """Print the table and write the results."""
+        self._check()
         if self.table is not None:
             self._table(self.table)
             return
@@ -97,18 +107,18 @@ class Evaluate:
         data = data_folder(task.name, self.data)
         dataset = load_split(data, self.split, task.name)
         checkpoint = load_checkpoint(resolve(self.checkpoint, task.name))
-        training = load_split(data, "train", task.name)
+        training = load_split(self.fit_data or data, "train", task.name)
+        starts = {} if self.completer is None else _completed_starts(task, dataset, self.completer, self.sensor)
+        floors = self._floors(task, dataset) if self.floors else {}
         models: dict[str, WorldModel] = {checkpoint.kind: checkpoint.model}
         models |= {name: fit_baseline(name, training) for name in _WITHOUT_LEARNING}
         rows = {k: evaluate_rollouts(model, task, dataset, every=self.every) for k, model in models.items()}
         rows["oracle effector"] = evaluate_rollouts(checkpoint.model, task, dataset, oracle=True, every=self.every)
-        if self.completer is not None:
-            for view, start in _completed_starts(task, dataset, self.completer, self.sensor).items():
-                rows[f"completed, {view}"] = evaluate_rollouts(
-                    checkpoint.model, task, dataset, every=self.every, start=start
-                )
+        for view, start in starts.items():
+            rows[f"completed, {view}"] = evaluate_rollouts(
+                checkpoint.model, task, dataset, every=self.every, start=start
+            )
         onsets = {k: onsets_by_split(model, dataset) for k, model in models.items()}
-        floors = self._floors(task, dataset) if self.floors else {}
         print(report_text(task, rows, onsets, floors))
         self._calibration(task, rows[checkpoint.kind])
         self._strips(task, checkpoint.model, dataset)
@@ -121,6 +131,7 @@ class Evaluate:
                 "split": self.split,
                 "every": self.every,
                 "checkpoint": checkpoint.description["training"].get("data"),
+                "fitted_on": str(self.fit_data or data),
                 "objects": list(task.objects),
                 "rows": rows,
                 "onsets": onsets,
@@ -128,6 +139,24 @@ class Evaluate:
                 "long_rollouts": {**long, "mixed_actions": curves},
             }
             write_results(self.json, results)
+
+    def _check(self) -> None:
+        """Refuse numbers that cannot be, and options that nothing would read."""
+        from pwm_gym.errors import PwmGymError
+
+        check_least(self, every=1, workers=1, threads=1, episodes=0, long=0)
+        if self.table is None and self.objects:
+            raise PwmGymError(
+                f"--objects {self.objects}; expected a --table that plans: a data set has its own objects"
+            )
+        if self.table == "distractors":
+            check_least(self, episodes=1)
+        if self.table == "distractors" and self.objects:
+            raise PwmGymError(
+                f"--objects {self.objects}; the table 'distractors' has the objects of the checkpoint's scenes"
+            )
+        if self.table is not None and self.fit_data is not None:
+            raise PwmGymError(f"--fit-data {self.fit_data}; a table's baselines are fitted on --data")
 
     def _strips(self, task: Task, model: WorldModel, dataset: Dataset) -> None:
         """Draw the first episode of each kind where it is asked for."""
@@ -142,18 +171,19 @@ class Evaluate:
 
     def _floors(self, task: Task, dataset: Dataset) -> dict[str, Any]:
         """Sampling and chaos floors, and the onsets' own, of demonstrations and of practice."""
+        from pwm_gym.data.simulated import SceneMeshes, simulator_of
         from pwm_gym.evaluation.floors import chaos_floor, sampling_floor
         from pwm_gym.evaluation.onsets import onset_floor
         from pwm_gym.evaluation.report import SPLITS
         from pwm_gym.scene import sample_clouds
 
-        simulator = task.simulator()
-        found: dict[tuple[str, ...], Any] = {}
+        simulator = simulator_of(task, dataset)
+        meshes, found = SceneMeshes(simulator), dict[tuple[str, ...], Any]()
 
         def fresh(episode: Episode) -> Any:
             if episode.assets not in found:
-                simulator.reset(episode.seed)
-                found[episode.assets] = sample_clouds(simulator.meshes(), task.layout, task.cloud_seed + 1000)
+                surfaces = meshes(dataset.scene(episode))
+                found[episode.assets] = sample_clouds(surfaces, task.layout, task.cloud_seed + 1000)
             return found[episode.assets]
 
         floors: dict[str, Any] = {}
@@ -168,12 +198,12 @@ class Evaluate:
 
     def _long(self, task: Task, model: Any, dataset: Dataset) -> dict[str, Any]:
         """Errors along long rollouts, drawn where asked for."""
+        from pwm_gym.data.simulated import simulator_of
         from pwm_gym.evaluation.long import error_curves, mixed_episodes
         from pwm_gym.viewer import draw_quartiles
 
-        simulator = task.simulator()
-        curves = error_curves(model, mixed_episodes(simulator, task, dataset, self.long))
-        simulator.close()
+        with closing(simulator_of(task, dataset)) as simulator:
+            curves = error_curves(model, mixed_episodes(simulator, task, dataset, self.long))
         for length, value in curves.mean_chamfer.items():
             print(f"{length} steps of mixed actions: Chamfer L1 {value:.4f} m on average")
         if self.pictures is not None:
@@ -209,13 +239,14 @@ class Evaluate:
         }
         table = look_up("table", name, runs)()
         if self.json is not None:
-            write_results(self.json, {"table": name, **table})
+            asked = {"objects": self.objects} if self.objects else {}
+            write_results(self.json, {"table": name, **asked, **table})
 
     def _trained(self, name: str) -> dict[str, Any]:
         """A table whose rows are trained."""
         from pwm_gym.experiments import run_table
 
-        table = run_table(name, data_folder(self.task, self.data), self.out, self.task, self.workers)
+        table = run_table(name, data_folder(self.task, self.data), self.out, self.task, self.workers, self.objects)
         from pwm_gym.evaluation.text import trained_text
 
         print(trained_text(table))
@@ -231,7 +262,7 @@ class Evaluate:
         draw = None if self.pictures is None else partial(_draw_failures, self.pictures)
         data = data_folder(self.task, self.data)
         chosen = PLANNING_TABLES[name]
-        table = run_planning_table(chosen, data, self.out, self.task, self.full, self.members, draw)
+        table = run_planning_table(chosen, data, self.out, self.task, self.full, self.members, draw, self.objects)
         from pwm_gym.evaluation.text import planning_text
 
         print(planning_text(table))
@@ -244,7 +275,7 @@ class Evaluate:
 
         tasks = tuple(get_task(name).name for name in self.tasks or (self.task,))
         data = {task: data_folder(task, self.data if len(tasks) == 1 else None) for task in tasks}
-        table = run_shared_table(self.checkpoints, tasks, data, self.out, self.episodes, self.workers)
+        table = run_shared_table(self.checkpoints, tasks, data, self.out, self.episodes, self.workers, self.objects)
         from pwm_gym.evaluation.text import shared_text
 
         print(shared_text(table))
@@ -293,16 +324,16 @@ def _completed_starts(task: Task, dataset: Dataset, completer: str, sensor: str)
     """What perception makes of the episodes' first views, from each of three places."""
     from pwm_gym.cameras.viewpoints import CAMERA_SCALE, VIEWPOINTS
     from pwm_gym.completion import build_completer
+    from pwm_gym.data.simulated import SceneMeshes, simulator_of
     from pwm_gym.evaluation.rollouts import completed_start
     from pwm_gym.perception.build import build_observer
 
-    simulator = task.simulator()
-    meshes = simulator.meshes()
-    simulator.close()
-    made, clouds = build_completer(completer), dataset.scene(dataset.episodes[0]).clouds
-    starts = {}
-    for name, camera in VIEWPOINTS.items():
-        view = camera.resize(CAMERA_SCALE)
-        look = build_observer(task, dataset.layout, meshes, clouds, made, view, sensor)
-        starts[name] = completed_start(dataset, look)
-    return starts
+    made = build_completer(completer)
+    with closing(simulator_of(task, dataset)) as simulator:
+        meshes = SceneMeshes(simulator)
+
+        def observer(camera: DepthCamera, scene: Scene) -> RenderedObserver:
+            return build_observer(task, dataset.layout, meshes(scene), scene.clouds, made, camera, sensor)
+
+        views = {name: camera.resize(CAMERA_SCALE) for name, camera in VIEWPOINTS.items()}
+        return {name: completed_start(dataset, partial(observer, view)) for name, view in views.items()}

@@ -6,6 +6,8 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from pwm_gym.commands.numbers import check_least
+
 if TYPE_CHECKING:
     from pwm_gym.planning import SamplingConfig
     from pwm_gym.tasks import Task
@@ -78,6 +80,7 @@ class Plan:
         from pwm_gym.seeds import RANGES, seed_range
         from pwm_gym.tasks import get_task
 
+        check_least(self, episodes=1, offset=0, max_steps=1, chunk=0, threads=1)
         if self.seeds not in RANGES:
             raise unknown_name("range of seeds", self.seeds, RANGES)
         config = self._config()

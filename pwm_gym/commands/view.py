@@ -61,16 +61,27 @@ class View:
 
 
 def rolled_out(run: Run, agent: Agent) -> Run:
-    """The same run, with what an agent's model predicts of all its actions from the first scene alone."""
+    """The same run, with what an agent's model predicts of all its actions from the first scene alone.
+
+    Raises:
+        UnknownNameError: the run's rewards are of a cost that is not registered, so that no others can be told.
+    """
     import torch
 
-    from pwm_gym.costs import get_cost
+    from pwm_gym.costs import COSTS, get_cost
     from pwm_gym.dynamics import rollout
+    from pwm_gym.errors import UnknownNameError
     from pwm_gym.scene import batch_state
     from pwm_gym.scene.se3 import pose7_from_matrix
 
     start = run.shown or run.start
-    cost = get_cost(run.settings.get("reward_cost", agent.task.cost))
+    name = run.settings.get("reward_cost", agent.task.cost)
+    if name not in COSTS:
+        known = ", ".join(sorted(COSTS))
+        raise UnknownNameError(
+            f"unknown cost {name!r}, of which the run's rewards are; register it to roll the run out; known: {known}"
+        )
+    cost = get_cost(name)
     agent.look(start)
     with torch.no_grad():
         states = rollout(agent.model, batch_state([start]), torch.as_tensor(run.actions)[None])[0]

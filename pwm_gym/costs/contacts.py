@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import wraps
-from typing import Concatenate, ParamSpec
+from typing import Concatenate, ParamSpec, TypeVar
 
 import torch
 from torch import Tensor
 
 __all__ = [
+    "MOST_SUNK",
     "PAD_END",
     "PAD_HALF_WIDTH",
     "along",
@@ -36,9 +37,13 @@ __all__ = [
 
 Points = Mapping[str, Tensor]
 P = ParamSpec("P")
+T = TypeVar("T")
 
 PAD_HALF_WIDTH, PAD_END = 0.014, 0.012
 """Metres that the fingers' pads reach to either side of the tool centre, and beyond it."""
+
+MOST_SUNK = 0.015
+"""Metres by which both pads together may sink into what is between them."""
 
 _TOOL_RATIO = 0.355  # (tool - fingers) / (fingers - hand) along the Panda hand's axis, of its collision meshes
 _CLOSE = 0.025  # the paper's grasp distance
@@ -53,21 +58,22 @@ _BETWEEN = 0.013  # metres from tool to centre within which the object is betwee
 _TIPS_APART = 0.027  # metres between the centres of the fingers' clouds where they are shut
 
 
-def once(term: Callable[Concatenate[Points, P], Tensor]) -> Callable[Concatenate[Points, P], Tensor]:
+def once(term: Callable[Concatenate[Points, P], T]) -> Callable[Concatenate[Points, P], T]:
     """Decorator: points that keep a memo (an environment's and a planner's do) form a quantity once.
 
-    All terms then share the tensor, which none may change in place.
+    All terms then share what was formed, which none may change in place.
     """
 
     @wraps(term)
-    def formed(points: Points, *args: P.args, **kwargs: P.kwargs) -> Tensor:
+    def formed(points: Points, *args: P.args, **kwargs: P.kwargs) -> T:
         memo = getattr(points, "memo", None)
         if memo is None:
             return term(points, *args, **kwargs)
         key = (term, args, tuple(kwargs.items()))
         if key not in memo:
             memo[key] = term(points, *args, **kwargs)
-        return memo[key]
+        found: T = memo[key]
+        return found
 
     return formed
 
@@ -164,13 +170,15 @@ def pinched(points: Points, action: Tensor, name: str) -> Tensor:
 
 
 def stopped(points: Points, velocity: Points, action: Tensor, name: str) -> Tensor:
-    """Bool (B,): a shutting gripper whose fingers no longer close, with a part of the object between its pads.
+    """Bool (B,): a shutting gripper that presses on a part of the object, or whose fingers stop close to one.
 
     As :func:`pinched` for an object of any shape, whose sides few points tell to a millimetre, held anywhere.
     """
-    between = (pad_gaps(points, name) <= _SPARSE).all(-1)
-    slow = closing(points, velocity).abs() <= _STOPPED
-    return between & slow & (action[..., -1] < _HALF_SHUT)
+    gaps = pad_gaps(points, name)
+    pressing = (gaps <= _LOOSEST).all(-1)
+    stopping = (gaps <= _SPARSE).all(-1) & (closing(points, velocity).abs() <= _STOPPED)
+    fits = gaps.sum(-1) >= -MOST_SUNK  # else they are shut beside the object, or in front of it
+    return (pressing | stopping) & fits & (action[..., -1] < _HALF_SHUT)
 
 
 def closing(points: Points, velocity: Points) -> Tensor:

@@ -17,12 +17,12 @@ from pwm_gym.costs.contacts import Points, along, once
 
 __all__ = ["Grip", "finger_overlap", "grip"]
 
-_POINTS, _PLACES = 96, 16  # of an object's cloud, the first of which are well spread: what is looked at, and tried
+_POINTS, _PLACES = 80, 12  # of an object's cloud within the fingers' reach: what is looked at, and tried
 _FINGER_LENGTH = 0.03  # below an object's top where the tool can hold it with the hand above it
-_OPEN, _OUTER = 0.036, 0.068  # from the tool to an open finger's inner and outer side
-_MARGIN = 0.004  # within which a point begins to be in a finger's way
+_OPEN, _OUTER = 0.038, 0.067  # from the tool to an open finger's inner and outer side
+_MARGIN = 0.003  # within which a point begins to be in a finger's way
 _NOTHING = 0.5  # cost of a place with nothing between the fingers; 1 is a finger that is in the way
-_OFF_CENTRE, _FAR = 0.15, 0.5  # from the object's centre, and from the tool, that cost as much as a finger in the way
+_OFF_CENTRE, _FAR = 0.15, 0.25  # from the object's centre, and from the tool, that cost as much as a finger in the way
 
 
 @dataclass(frozen=True)
@@ -41,10 +41,9 @@ class Grip:
 @once
 def grip(points: Points, name: str) -> Grip:
     """Best place to hold the object ``name`` at, of those that are tried."""
-    cloud, centre = points[name][..., :_POINTS, :], contacts.centre(points, name)
+    (cloud, counts), centre = _within_reach(points, name), contacts.centre(points, name)
     tried = torch.cat([centre.unsqueeze(-2), cloud[..., :_PLACES, :]], -2)  # (B, K, 3)
     height = _height(points, name)
-    counts = _counts(cloud, height)
     axis, sideways = _directions(points)
     across = along(tried, axis).unsqueeze(-1) - along(cloud, axis).unsqueeze(-2)  # (B, K, n)
     beside = (along(tried, sideways).unsqueeze(-1) - along(cloud, sideways).unsqueeze(-2)).abs()
@@ -68,29 +67,38 @@ def grip(points: Points, name: str) -> Grip:
 
 def finger_overlap(points: Points, name: str) -> Tensor:
     """How much (B,) a finger that came down where it is would hit the object, in [0, 1]."""
-    cloud = points[name]
+    cloud, counts = _within_reach(points, name)
     axis, sideways = _directions(points)
     beside = along(cloud - contacts.tool_centre(points).unsqueeze(-2), sideways).abs() <= contacts.PAD_HALF_WIDTH
-    counts = beside & _counts(cloud, _height(points, name))
     places, most = along(cloud, axis), []
     for finger in ("left_gripper", "right_gripper"):
         reach = along(points[finger], axis)
         inner, outer = reach.amin(-1, keepdim=True), reach.amax(-1, keepdim=True)
         depth = torch.minimum(places - inner, outer - places) + _MARGIN
-        most.append(((depth / _MARGIN).clamp(0.0, 1.0) * counts).amax(-1))
+        most.append(((depth / _MARGIN).clamp(0.0, 1.0) * (beside & counts)).amax(-1))
     return torch.maximum(*most)
 
 
+@once
 def _height(points: Points, name: str) -> Tensor:
     """Height (B,) of the tool: the object's centre, or not far below the top of a tall one."""
     return torch.maximum(contacts.centre(points, name)[..., 2], points[name][..., 2].amax(-1) - _FINGER_LENGTH)
 
 
-def _counts(cloud: Tensor, height: Tensor) -> Tensor:
-    """Bool (B, n): points that fingers with the tool at ``height`` (B,) reach."""
-    return cloud[..., 2] >= height.unsqueeze(-1) - contacts.PAD_END
+@once
+def _within_reach(points: Points, name: str) -> tuple[Tensor, Tensor]:
+    """Points (B, n, 3) of the object that fingers reach from above, the first of which are well spread.
+
+    And bool (B, n), false for those that only fill up where there are fewer.
+    """
+    cloud = points[name]
+    reached = cloud[..., 2] >= _height(points, name).unsqueeze(-1) - contacts.PAD_END
+    order = torch.arange(cloud.shape[-2], device=cloud.device) + cloud.shape[-2] * ~reached
+    chosen = order.topk(min(_POINTS, cloud.shape[-2]), -1, largest=False).indices
+    return cloud.gather(-2, chosen.unsqueeze(-1).expand(*chosen.shape, 3)), reached.gather(-1, chosen)
 
 
+@once
 def _directions(points: Points) -> tuple[Tensor, Tensor]:
     """Unit vectors (B, 3, 1) along which the fingers move, and across that and their length."""
     axis = contacts.fingers_axis(points)

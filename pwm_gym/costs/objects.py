@@ -32,7 +32,8 @@ __all__ = [
     "still",
 ]
 
-_TOUCHING, _STOPPED = 0.005, 0.0008  # metres, and metres a step: of fingers that an object has stopped
+_TOUCHING, _STOPPED = 0.006, 0.0016  # metres, and metres a step: of fingers that an object has stopped
+_AJAR, _SHUT = -0.3, 0.5  # the gripper's command from which it may hold something, and how far below it surely does
 _OFF_PLACE = 0.02  # metres between tool and grip place within which the fingers may shut
 _NARROW, _WIDE = 0.05, 0.08  # metres: a width that fits well, and the open Panda gripper's
 
@@ -109,22 +110,25 @@ def _outside(points: Points, name: str) -> Tensor:
 
 @contacts.once
 def _touching(points: Points, name: str) -> Tensor:
-    """Soft bool (B,): both pads touch what is between them."""
-    return torch.sigmoid((_TOUCHING - contacts.pad_gaps(points, name).amax(-1)) / 0.0015)
+    """Soft bool (B,): both pads touch what is between them, and are not shut beside it."""
+    gaps = contacts.pad_gaps(points, name)
+    touching = torch.sigmoid((_TOUCHING - gaps.amax(-1)) / 0.001)
+    return touching * torch.sigmoid((gaps.sum(-1) + contacts.MOST_SUNK) / 0.001)
 
 
 def _firmness(points: Points, info: Info, name: str) -> Tensor:
-    """Soft form (B,) of :func:`pwm_gym.costs.contacts.stopped`."""
-    slow = torch.sigmoid((_STOPPED - contacts.closing(points, info["velocity"]).abs()) / 0.0003)
-    return _touching(points, name) * slow * (info["action"][..., -1] < 0)
+    """Soft form (B,) of :func:`pwm_gym.costs.contacts.stopped`, of fingers that are told to shut, not half-way."""
+    shut = ((_AJAR - info["action"][..., -1]) / _SHUT).clamp(0.0, 1.0)
+    slow = torch.sigmoid((_STOPPED - contacts.closing(points, info["velocity"]).abs()) / 0.0004)
+    return _touching(points, name) * slow * shut
 
 
 def approach(name: str) -> Term:
-    """Distance from the tool to the place where it would hold the object, sharper when near."""
+    """Distance from the tool to the place where it would hold the object, sharper when near; none once it is held."""
 
     def term(points: Points, info: Info) -> Tensor:
         distance = _off_place(points, name)
-        return 5.0 * distance + torch.tanh(distance / 0.02)
+        return (5.0 * distance + torch.tanh(distance / 0.02)) * (1 - _firmness(points, info, name))
 
     return term
 
@@ -145,7 +149,8 @@ def finger_blocking(name: str) -> Term:
     def term(points: Points, info: Info) -> Tensor:
         height = contacts.tool_centre(points)[..., 2] - grip(points, name).place[..., 2]
         depth = ((0.05 - height) / 0.05).clamp(0, 1)
-        return finger_overlap(points, name) * depth * _outside(points, name)
+        blocked = finger_overlap(points, name) * depth * _outside(points, name)
+        return blocked * (1 - _firmness(points, info, name))
 
     return term
 
@@ -155,7 +160,8 @@ def misalignment(name: str) -> Term:
 
     def term(points: Points, info: Info) -> Tensor:
         best = grip(points, name)
-        return best.misfit + ((best.width - _NARROW) / (_WIDE - _NARROW)).clamp(0, 1)
+        fit = best.misfit + ((best.width - _NARROW) / (_WIDE - _NARROW)).clamp(0, 1)
+        return fit * (1 - _firmness(points, info, name))
 
     return term
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,6 +17,7 @@ from pwm_gym.cameras import DepthCamera, RayCaster
 from pwm_gym.cameras.viewpoints import CAMERA
 from pwm_gym.data.batch import Batch
 from pwm_gym.data.dataset import Dataset, load_split
+from pwm_gym.data.simulated import SceneMeshes, simulator_of
 from pwm_gym.data.windows import Windows
 from pwm_gym.errors import DatasetError
 from pwm_gym.files import load_arrays, save_arrays
@@ -42,7 +44,7 @@ PARTIAL_POINTS = 64
 
 def visibility(
     dataset: Dataset,
-    meshes: Mapping[str, trimesh.Trimesh],
+    meshes: Callable[[Scene], Mapping[str, trimesh.Trimesh]],
     camera: DepthCamera = CAMERA,
     cache: Path | None = None,
     progress: bool = True,
@@ -51,7 +53,7 @@ def visibility(
 
     Args:
         dataset: a split.
-        meshes: the entities' surfaces, which hide points.
+        meshes: a scene's entities' surfaces, which hide points; asked for once a combination of assets.
         camera: looks.
         cache: a file to keep the answer in, and to read it from.
         progress: whether to show a bar.
@@ -66,9 +68,12 @@ def visibility(
         if len(seen) != frames:
             raise DatasetError(f"{cache} tells of {len(seen)} frames; expected {frames}")
         return seen
-    caster = RayCaster(meshes, dataset.layout)
+    casters: dict[tuple[str, ...], RayCaster] = {}
     rows = []
     for episode in tqdm(dataset.episodes, disable=not progress, desc="visibility", leave=False):
+        if episode.assets not in casters:
+            casters[episode.assets] = RayCaster(meshes(dataset.scene(episode)), dataset.layout)
+        caster = casters[episode.assets]
         poses = matrix_from_pose7(torch.as_tensor(episode.poses, dtype=torch.float64))
         cloud = torch.as_tensor(dataset.cloud(episode), dtype=torch.float64)
         placed = _posed(cloud.expand(len(poses), -1, -1), dataset.layout, poses)
@@ -99,13 +104,11 @@ def visible_split(folder: Path, split: str, task: Task, dataset: Dataset | None 
         task: gives the meshes, where they are needed.
         dataset: the split, where it is loaded already.
     """
-    cache = folder / f"visible-{split}.npz"
-    meshes: Mapping[str, trimesh.Trimesh] = {}
-    if not cache.exists():
-        simulator = task.simulator()
-        meshes = simulator.meshes()
-        simulator.close()
-    return visibility(dataset or load_split(folder, split, task.name), meshes, cache=cache)
+    cache, dataset = folder / f"visible-{split}.npz", dataset or load_split(folder, split, task.name)
+    if cache.exists():
+        return visibility(dataset, lambda scene: {}, cache=cache)  # no mesh is needed
+    with closing(simulator_of(task, dataset)) as simulator:
+        return visibility(dataset, SceneMeshes(simulator), cache=cache)
 
 
 def partial_clouds(

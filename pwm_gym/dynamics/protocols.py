@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 from torch import Tensor
 
-from pwm_gym.scene import State
+from pwm_gym.scene import Scene, State
 
 if TYPE_CHECKING:
     from pwm_gym.dynamics.compact.uncertainty import ErrorHead
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
 __all__ = [
     "FitsResponse",
     "LearnsError",
+    "MeetsScenes",
     "MovesArms",
     "MovesFewerPoints",
     "ReadsPoints",
@@ -59,6 +61,14 @@ class LearnsError(Protocol):
 
     def step_with_tokens(self, state: State, action: Tensor) -> tuple[State, Tensor]:
         """Next state (B,), and the entity tokens (B, E, C) that its motions were decoded from."""
+
+
+@runtime_checkable
+class MeetsScenes(Protocol):
+    """A model that needs more of a scene than its state tells, such as the names of its assets."""
+
+    def meet(self, scenes: Sequence[Scene]) -> None:
+        """Take states as ones of these scenes, until it meets others."""
 
 
 @runtime_checkable

@@ -11,6 +11,7 @@ import gymnasium as gym
 import numpy as np
 from tqdm import tqdm
 
+from pwm_gym.errors import PwmGymError
 from pwm_gym.planning import Agent, Run, execute
 from pwm_gym.scene import Scene
 
@@ -63,7 +64,13 @@ def wilson(successes: int, trials: int, z: float = 1.96) -> tuple[float, float]:
 
 
 def planning_table(runs: Sequence[Run]) -> dict[str, Any]:
-    """Success rate with its interval, steps and latencies (seconds an action) of ``runs``."""
+    """Success rate with its interval, steps and latencies (seconds an action) of ``runs``.
+
+    Raises:
+        PwmGymError: there are none.
+    """
+    if not runs:
+        raise PwmGymError("no run is left to tell of; expected at least one seed that is not a success at reset")
     wins = [r for r in runs if r.success]
     latencies = np.array([t for r in runs for t in r.plan_seconds])
     return {
@@ -78,4 +85,17 @@ def planning_table(runs: Sequence[Run]) -> dict[str, Any]:
         },
         "failed_seeds": [r.seed for r in runs if not r.success],
         "runs": [{"seed": r.seed, "success": r.success, "steps": r.steps} for r in runs],
+        "objects": _by_object(runs),
     }
+
+
+def _by_object(runs: Sequence[Run]) -> dict[str, dict[str, int]]:
+    """Episodes and successes of each object, where the episodes' objects differ."""
+    found: dict[str, dict[str, int]] = {}
+    for run in runs:
+        assets = zip(run.start.layout, run.start.assets, strict=False)  # none, where a scene names no assets
+        name = " ".join(asset for entity, asset in assets if not entity.driven)
+        row = found.setdefault(name, {"episodes": 0, "successes": 0})
+        row["episodes"] += 1
+        row["successes"] += run.success
+    return dict(sorted(found.items())) if len(found) > 1 else {}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +16,7 @@ from pwm_gym.data.partial import partial_clouds
 from pwm_gym.dynamics.model import WorldModel
 from pwm_gym.dynamics.protocols import MovesArms, MovesFewerPoints
 from pwm_gym.evaluation.joints import joint_positions
-from pwm_gym.scene import PointState, RigidState, State, batch_state, stack
+from pwm_gym.scene import PointState, RigidState, Scene, State, batch_state, stack
 from pwm_gym.scene.se3 import inverse, matrix_from_pose7, rotation_angle
 
 if TYPE_CHECKING:
@@ -140,16 +140,20 @@ def observed_start(dataset: Dataset, seen: np.ndarray | None = None) -> RigidSta
     return RigidState(layout, canonical, frames.flip(1), joints)
 
 
-def completed_start(dataset: Dataset, look: RenderedObserver) -> RigidState:
+def completed_start(dataset: Dataset, observer: Callable[[Scene], RenderedObserver]) -> RigidState:
     """State (M,) of the third step of each episode that is predicted, as perception makes it of three views.
 
     Args:
         dataset: episodes of one split.
-        look: sees them.
+        observer: who sees scenes of the assets of this one; asked for once a combination of assets.
     """
+    observers: dict[tuple[str, ...], RenderedObserver] = {}
     scenes = []
     for index, episode in enumerate(dataset.episodes):
         if len(episode) > OBSERVED - 1:
+            if episode.assets not in observers:
+                observers[episode.assets] = observer(dataset.scene(episode))
+            look = observers[episode.assets]
             look.reset(index)
             scenes.append([look(dataset.scene(episode, step)).scene for step in range(OBSERVED)][-1])
     return batch_state(scenes)
@@ -258,7 +262,7 @@ def joint_errors(rollouts: Rollouts, entity: int) -> Tensor:
 
 @torch.no_grad()
 def long_rollouts(model: WorldModel, dataset: Dataset, steps: int = 300, seed: int = 0) -> dict[str, Any]:
-    """Rollouts from the initial scenes of ``dataset``, before any clipping.
+    """Rollouts from the initial scenes of the demonstrations in ``dataset``, before any clipping.
 
     Under zero actions a resting arm and an untouched object rest in the simulator too (its controller tracks the
     present pose), so that what moved is the error; fingers shut to the controller's zero.
@@ -269,9 +273,10 @@ def long_rollouts(model: WorldModel, dataset: Dataset, steps: int = 300, seed: i
         ``finite``: whether every pose was.
     """
     layout = dataset.layout
-    start: State = model.prepare(batch_state([dataset.scene(e) for e in dataset.episodes]))
+    episodes = dataset.of_kinds(("expert", "randomised")).episodes or dataset.episodes  # practice may start in mid-air
+    start: State = model.prepare(batch_state([dataset.scene(e) for e in episodes]))
     generator = torch.Generator().manual_seed(seed)
-    count, finite, far = len(dataset.episodes), True, 0.0
+    count, finite, far = len(episodes), True, 0.0
     still = wild = start
     for _ in range(steps):
         still = model.step(still, torch.zeros(count, model.action_size))

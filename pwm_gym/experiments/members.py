@@ -15,6 +15,7 @@ import torch
 from pwm_gym.completion import SHIPPED
 from pwm_gym.data import load_split
 from pwm_gym.data.partial import PartialView
+from pwm_gym.data.simulated import check_objects
 from pwm_gym.dynamics import WorldModel, load_checkpoint, resolve
 from pwm_gym.errors import look_up
 from pwm_gym.evaluation.planning import load_runs, planning_table, run_episodes, save_runs
@@ -23,6 +24,7 @@ from pwm_gym.experiments.tables import row_folder, trained
 from pwm_gym.planning import Agent, Run, SamplingConfig, get_planner_config
 from pwm_gym.scene import Scene
 from pwm_gym.seeds import seed_range
+from pwm_gym.sim import Simulator
 from pwm_gym.sim.model import SimulatorModel
 from pwm_gym.tasks import Task, get_task
 from pwm_gym.training import fit_baseline
@@ -152,6 +154,7 @@ def run_planning_table(
     full: bool = False,
     members: Sequence[str] = (),
     draw: Callable[[str, str, Sequence[Run]], str] | None = None,
+    objects: str = "",
 ) -> dict[str, Any]:
     """Plan with every member in every mode; what is there already is kept, and progress is printed.
 
@@ -163,12 +166,16 @@ def run_planning_table(
         full: whether the fast members plan 100 episodes instead of 20.
         members: names of rows; none given takes all.
         draw: draws the failed runs of a row in a mode, and returns the picture's name; None draws none.
+        objects: what episodes draw their objects from, as of :meth:`pwm_gym.tasks.Task.make_simulator`; "" for the
+            task's default.
 
     Raises:
         UnknownNameError: the table has no such member.
+        PwmGymError: the task has no such objects.
     """
     chosen = table.choose(members)
-    pieces = {(m.name, mode): _piece(m, mode, data, out, task, full) for m in chosen for mode in table.modes}
+    check_objects(get_task(task), objects)
+    pieces = {(m.name, mode): _piece(m, mode, data, out, task, full, objects) for m in chosen for mode in table.modes}
     results = dict(zip(pieces, run_pieces(list(pieces.values())), strict=True))
     for (name, mode), result in results.items():
         if draw is not None and result["failed_seeds"]:
@@ -192,7 +199,7 @@ def _row(member: Member, modes: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _piece(member: Member, mode: str, data: Path, out: Path, task: str, full: bool) -> Piece:
+def _piece(member: Member, mode: str, data: Path, out: Path, task: str, full: bool, objects: str = "") -> Piece:
     """One member in one mode, named after all that decides its result, so that tables share equal ones."""
     chunk = CHUNKS[mode] if CHUNKS[mode] < member.max_steps else 0  # never looks again
     episodes = member.count(full)
@@ -203,17 +210,19 @@ def _piece(member: Member, mode: str, data: Path, out: Path, task: str, full: bo
         source = row_folder("rollout", member.source, data, out, task).name
     if member.observation == "completed":
         source += digest(SHIPPED)
-    recipe = (task, replace(member, name=""), source, chunk, episodes, member.config, member.max_steps)
-    make = partial(_planned, member, data, out, task, chunk, episodes)
+    asked = [objects] if objects else []
+    recipe = (task, replace(member, name=""), source, chunk, episodes, member.config, member.max_steps, *asked)
+    make = partial(_planned, member, data, out, task, chunk, episodes, objects)
     return Piece(f"{member.name}, {mode}", "planning", repr(recipe), out, make)
 
 
 def _planned(
-    member: Member, data: Path, out: Path, task: str, chunk: int, episodes: int, folder: Path
+    member: Member, data: Path, out: Path, task: str, chunk: int, episodes: int, objects: str, folder: Path
 ) -> dict[str, Any]:
     """Plan with one member in one mode."""
-    model = _model(member, data, out, get_task(task).name)
-    return {"threads": torch.get_num_threads(), **_plan(model, member, get_task(task), chunk, episodes, folder)}
+    model = _model(member, data, out, get_task(task).name, objects)
+    table = _plan(model, member, get_task(task), chunk, episodes, objects, folder)
+    return {"threads": torch.get_num_threads(), **table}
 
 
 def digest(checkpoint: Path) -> str:
@@ -222,7 +231,7 @@ def digest(checkpoint: Path) -> str:
 
 
 @lru_cache(maxsize=1)  # the modes of a member follow each other
-def _model(member: Member, data: Path, out: Path, task_name: str) -> WorldModel:
+def _model(member: Member, data: Path, out: Path, task_name: str, objects: str) -> WorldModel:
     """The member's model, trained where it is not yet."""
     task = get_task(task_name)
     if member.kind == "checkpoint":
@@ -233,22 +242,34 @@ def _model(member: Member, data: Path, out: Path, task_name: str) -> WorldModel:
         torch.set_num_threads(threads)  # a training sets its own
         return load_checkpoint(folder).model
     if member.kind == "simulator":
-        return SimulatorModel(task.simulator(), task.layout, task.name, task.goal_size)
+        return SimulatorModel(task.make_simulator(objects or None), task.layout, task.name, task.goal_size)
     return fit_baseline(member.source, load_split(data, "train", task.name))
 
 
-def _plan(model: WorldModel, member: Member, task: Task, chunk: int, episodes: int, folder: Path) -> dict[str, Any]:
+def _plan(
+    model: WorldModel, member: Member, task: Task, chunk: int, episodes: int, objects: str, folder: Path
+) -> dict[str, Any]:
     """Test seeds of planning in the simulator; failed runs are saved in ``folder``."""
     from pwm_gym.envs import CameraConfig  # trainings import this module, and need no environments
 
-    observe: Callable[[Scene], Scene] | None = None
-    if member.partial:
-        simulator = task.simulator()
-        observe = PartialView(simulator.meshes(), task.layout)
-        simulator.close()
     agent, seeds = Agent(model, task.name, member.config), seed_range("plan_test", episodes)
     shown: dict[str, Any] = {"observation": member.observation, "camera": CameraConfig(sensor=member.sensor)}
-    with gym.make(f"pwm/{task.name}Sim-v0", max_episode_steps=member.max_steps, **shown) as env:
+    twin = f"pwm/{task.name}Sim-v0"
+    with gym.make(twin, max_episode_steps=member.max_steps, objects=objects or None, **shown) as env:
+        observe = _partial_views(env, task) if member.partial else None
         runs = run_episodes(env, agent, seeds, member.max_steps, chunk, observe)
     save_runs([run for run in runs if not run.success], folder)
     return planning_table(runs)
+
+
+def _partial_views(twin: gym.Env[Any, Any], task: Task) -> Callable[[Scene], Scene]:
+    """What a camera sees of a twin's present scene."""
+    simulator: Simulator = twin.unwrapped.simulator  # type: ignore[attr-defined]
+    views: dict[tuple[str, ...], PartialView] = {}
+
+    def observe(scene: Scene) -> Scene:
+        if scene.assets not in views:
+            views[scene.assets] = PartialView(simulator.meshes(), task.layout)
+        return views[scene.assets](scene)
+
+    return observe

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import json
-import multiprocessing as mp
 import time
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,6 +13,7 @@ from typing import Any
 from pwm_gym.errors import PwmGymError
 from pwm_gym.evaluation.record import describe_commit
 from pwm_gym.files import write_atomically
+from pwm_gym.workers import work_through
 
 __all__ = ["Piece", "run_pieces"]
 
@@ -64,30 +63,18 @@ def run_pieces(pieces: Sequence[Piece], workers: int = 1, tell: Callable[[str], 
         pieces: of the table; those that share a recipe are made once.
         workers: pieces at once, each in a process of its own where there are several.
         tell: is given one line a finished piece, with the time that it took.
+
+    Raises:
+        PwmGymError: a process died, or a result that was there is damaged.
     """
     commit = describe_commit()  # of the code that is loaded, which may change on disk meanwhile
     missing = list({p.folder: (p, commit) for p in pieces if not p.result.exists()}.values())
     if missing:
         kept = len({p.folder for p in pieces}) - len(missing)
         tell(f"{len(missing)} pieces to make, {kept} there already, in {missing[0][0].out}")
-    for count, (label, seconds) in enumerate(_finished(missing, workers), 1):
+    for count, (label, seconds) in enumerate(work_through(_make, missing, workers), 1):
         tell(f"[{count}/{len(missing)}] {label}: {_clock(seconds)}")
     return [piece.read() for piece in pieces]
-
-
-def _finished(missing: list[tuple[Piece, str | None]], workers: int) -> Iterator[tuple[str, float]]:
-    """Label and seconds of each piece, as it is made."""
-    if workers <= 1 or len(missing) <= 1:
-        yield from map(_make, missing)
-        return
-    # An executor, since a pool waits for ever where one of its processes dies.
-    with ProcessPoolExecutor(min(workers, len(missing)), mp_context=mp.get_context("spawn")) as pool:
-        futures = [pool.submit(_make, job) for job in missing]
-        try:
-            for future in as_completed(futures):
-                yield future.result()
-        finally:
-            pool.shutdown(cancel_futures=True)
 
 
 def _make(job: tuple[Piece, str | None]) -> tuple[str, float]:

@@ -18,6 +18,7 @@ import numpy as np
 
 from pwm_gym.data import load_split
 from pwm_gym.data.partial import visible_split
+from pwm_gym.data.simulated import check_objects
 from pwm_gym.dynamics import WorldModel, load_checkpoint
 from pwm_gym.errors import look_up
 from pwm_gym.evaluation.planning import planning_table, run_episodes
@@ -181,7 +182,9 @@ TABLES: dict[str, Table] = {
 """Name -> table."""
 
 
-def run_table(name: str, data: Path, out: Path, task: str = "PickCube", workers: int = 1) -> dict[str, Any]:
+def run_table(
+    name: str, data: Path, out: Path, task: str = "PickCube", workers: int = 1, objects: str = ""
+) -> dict[str, Any]:
     """Train and evaluate what is still missing of a table, and return its rows; progress is printed.
 
     Args:
@@ -190,12 +193,16 @@ def run_table(name: str, data: Path, out: Path, task: str = "PickCube", workers:
         out: folder of the pieces.
         task: registered task.
         workers: pieces at once, each on one thread.
+        objects: what planned episodes draw their objects from, as of :meth:`pwm_gym.tasks.Task.make_simulator`; "" for
+            the task's default.
 
     Raises:
         UnknownNameError: no table has this name.
+        PwmGymError: the task has no such objects.
     """
     table = look_up("table", name, TABLES)
-    pieces = [_piece(row, seed, data, out, task) for row in table.rows for seed in row.seeds]
+    check_objects(get_task(task), objects)
+    pieces = [_piece(row, seed, data, out, task, objects) for row in table.rows for seed in row.seeds]
     if any(row.view == "partial" for row in table.rows) and not all(p.result.exists() for p in pieces):
         for split in ("train", "validation", "test"):  # before several processes want it
             visible_split(data, split, get_task(task))
@@ -204,8 +211,8 @@ def run_table(name: str, data: Path, out: Path, task: str = "PickCube", workers:
     return {"caption": table.caption, "rows": rows}
 
 
-def _piece(row: Row, seed: int, data: Path, out: Path, task: str) -> Piece:
-    """One row and seed."""
+def _piece(row: Row, seed: int, data: Path, out: Path, task: str, objects: str = "") -> Piece:
+    """One row and seed; the ``objects`` count where it plans."""
     recipe = (
         task,
         str(data),
@@ -217,8 +224,9 @@ def _piece(row: Row, seed: int, data: Path, out: Path, task: str) -> Piece:
         row.kinds,
         row.plan,
         seed,
+        *([objects] if objects and row.plan else []),
     )
-    make = partial(_evaluated, row, seed, data, task)
+    make = partial(_evaluated, row, seed, data, task, objects)
     return Piece(f"{row.name}, seed {seed}", row.model, repr(recipe), out, make)
 
 
@@ -262,7 +270,7 @@ def _fit(row: Row, seed: int, data: Path, task: str, folder: Path) -> Path:
     return fit(config, replace(row.training, seed=seed), lambda *_: {}, progress=False)
 
 
-def _evaluated(row: Row, seed: int, data: Path, task_name: str, folder: Path) -> dict[str, Any]:
+def _evaluated(row: Row, seed: int, data: Path, task_name: str, objects: str, folder: Path) -> dict[str, Any]:
     """Train and evaluate one row with one seed."""
     prepare_process(threads=1)
     task = get_task(task_name)
@@ -279,13 +287,13 @@ def _evaluated(row: Row, seed: int, data: Path, task_name: str, folder: Path) ->
         "episodes": sum(training["data"]["episodes"].values()),
         "parameters": sum(p.numel() for p in model.parameters()),  # type: ignore[attr-defined]
         "splits": evaluate_rollouts(model, task, test, every=10, progress=False, start=start),
-        "planning": plan_episodes(model, task, row.plan) if row.plan else None,
+        "planning": plan_episodes(model, task, row.plan, objects) if row.plan else None,
     }
 
 
-def plan_episodes(model: WorldModel, task: Task, episodes: int) -> dict[str, Any]:
-    """Closed-loop planning of the test seeds in the simulator."""
-    with gym.make(f"pwm/{task.name}Sim-v0") as env:
+def plan_episodes(model: WorldModel, task: Task, episodes: int, objects: str = "") -> dict[str, Any]:
+    """Closed-loop planning of the test seeds in the simulator, with these ``objects`` or the task's default."""
+    with gym.make(f"pwm/{task.name}Sim-v0", objects=objects or None) as env:
         seeds, most = seed_range("plan_test", episodes), task.max_episode_steps
         runs = run_episodes(env, Agent(model, task.name), seeds, most, progress=False)
     return planning_table(runs)

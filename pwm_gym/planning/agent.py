@@ -12,6 +12,7 @@ from torch import Tensor
 from pwm_gym.costs import Cost, cost_info, get_cost, get_grasp
 from pwm_gym.costs.registry import Function
 from pwm_gym.dynamics.model import WorldModel
+from pwm_gym.dynamics.protocols import MeetsScenes
 from pwm_gym.errors import PwmGymError, SceneError
 from pwm_gym.planning.mppi import MPPIConfig
 from pwm_gym.planning.objective import RolloutObjective
@@ -74,6 +75,8 @@ class Agent:
         scenes = [scene] if isinstance(scene, Scene) else list(scene)
         for item in scenes:
             self._check(item)
+        if isinstance(self.model, MeetsScenes):
+            self.model.meet(scenes)
         self._state = self.model.prepare(batch_state(scenes, self.device))
         goals = np.stack([s.goal for s in scenes])
         self._goal = torch.as_tensor(goals, dtype=torch.float32, device=self.device)

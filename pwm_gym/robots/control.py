@@ -98,8 +98,8 @@ class Control:
     """Meaning of an action: its channels in order, and the arms that they move.
 
     Raises:
-        PwmGymError: components that no channel or two channels take, a vector that has not three components, a
-            channel of an unknown arm, arms that share a name, a hand or joints.
+        PwmGymError: components that no channel or two channels take, a vector that has not three components, two of
+            one kind for one arm, a channel of an unknown arm, arms that share a name, a hand or joints.
 
     Example:
         >>> control = Control((Channel("translation", 0, 3, unit=0.1), Channel("gripper", 3, 4, rest=1.0)))
@@ -127,6 +127,9 @@ class Control:
                 raise PwmGymError(f"channel {channel.kind!r} has {count} components; expected 3")
             if channel.arm and channel.arm not in self.arm_names:
                 raise unknown_name("arm", channel.arm, self.arm_names)
+            if channel.kind in _VECTORS and channel is not self.channel(channel.arm, channel.kind):
+                told = f"arm {channel.arm!r}" if channel.arm else "no arm"
+                raise PwmGymError(f"two channels {channel.kind!r} of {told}; expected one")
             end = channel.stop
 
     def _check_arms(self) -> None:

@@ -56,11 +56,11 @@ class ArmKinematics(nn.Module):
 
     def frames(self, joints: Tensor) -> Tensor:
         """Poses (..., J, 4, 4) of the joints' frames at angles (..., J); each joint's axis is its frame's z."""
-        local = rotation_about(self.joint_parts.to(joints), joints)
-        poses = [local[..., 0, :, :]]
-        for k in range(1, self.arm.joints):
-            poses.append(poses[-1] @ local[..., k, :, :])
-        return torch.stack(poses, -3)
+        local = rotation_about(self.joint_parts.to(joints), joints).flatten(0, -4).unbind(1)
+        poses = [local[0]]
+        for pose in local[1:]:
+            poses.append(torch.bmm(poses[-1], pose))  # a general product costs half as much again for so few numbers
+        return torch.stack(poses, 1).unflatten(0, joints.shape[:-1])
 
     def forward(self, joints: Tensor) -> Tensor:
         """Pose (..., 4, 4) of the end effector's hand at joint angles (..., J)."""

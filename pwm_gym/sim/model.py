@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -19,6 +20,9 @@ __all__ = ["SimulatorModel"]
 class SimulatorModel:
     """Steps a simulator from each state in turn; implements :class:`pwm_gym.dynamics.WorldModel`.
 
+    Where a task's objects differ between episodes, a state does not tell which it is of: :meth:`meet` its scene first,
+    as :class:`pwm_gym.planning.Agent` does.
+
     Args:
         simulator: of the task, which is reset; another one than that which the plans are executed in.
         layout: the scene's entities.
@@ -30,7 +34,13 @@ class SimulatorModel:
         self.links, self.layout = layout.robot(), layout
         self.action_size, self._simulator = simulator.action_size, simulator
         self._task, self._goal = task, np.zeros(goal_size, np.float32)
+        self._assets: dict[bytes, tuple[str, ...]] = {}
         simulator.reset(0)
+        self._varied = simulator.assets() != layout.names  # an asset has its entity's name where it is always the same
+
+    def meet(self, scenes: Sequence[Scene]) -> None:
+        """Take states with the clouds of these scenes as ones of their assets, until it meets others."""
+        self._assets = {_mark(scene.layout, scene.clouds): scene.assets for scene in scenes}
 
     def prepare(self, state: State) -> RigidState:
         """The state itself.
@@ -57,10 +67,21 @@ class SimulatorModel:
         return joined
 
     def _follow(self, state: RigidState, actions: np.ndarray) -> RigidState:
-        """States (H,) after each of the actions (H, A) from ``state`` without a batch."""
+        """States (H,) after each of the actions (H, A) from ``state`` without a batch.
+
+        Raises:
+            PwmGymError: the state is of no scene that it met, and the task's objects differ between episodes.
+        """
         poses, joints = pose7_from_matrix(state.frames.double()).numpy(), state.joints
         assert joints is not None
-        scene = Scene(self._task, state.layout, state.clouds.numpy(), poses, self._goal, joints.numpy())
+        clouds = state.clouds.numpy()
+        assets = self._assets.get(_mark(state.layout, clouds), ())
+        if self._varied and not assets:
+            raise PwmGymError(
+                f"the state is of no scene that the simulator met, and the objects of {self._task} differ between "
+                "episodes; expected meet() to be given its scene, with assets, first"
+            )
+        scene = Scene(self._task, state.layout, clouds, poses, self._goal, joints.numpy(), assets=assets)
         self._simulator.restore(scene, rebuild=False)
         future: list[State] = []
         for action in actions:
@@ -70,3 +91,8 @@ class SimulatorModel:
             future.append(state)
         joined: RigidState = stack(future, 0)  # type: ignore[assignment]
         return joined
+
+
+def _mark(layout: Layout, clouds: np.ndarray) -> bytes:
+    """What canonical clouds (N, 3) are known by: each entity's first point, which coarser clouds have, too."""
+    return np.asarray(clouds[[e.start for e in layout]], np.float32).tobytes()

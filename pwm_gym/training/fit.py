@@ -101,6 +101,7 @@ def fit(config: FitConfig, training: TrainConfig, validate: Validate, progress: 
     clock = Clock()
     torch.set_num_threads(training.threads)  # before the fits: sums depend on it, and a resumed run must find the same
     torch.manual_seed(training.seed)
+    model: Any
     kind, model = _fresh(config, sources[0].layout, tasks[0])
     if not has_state(out) and not config.init:  # a resumed run reads what was fitted
         fit_response(model, sources, config.arm_steps)
@@ -130,7 +131,7 @@ def fit(config: FitConfig, training: TrainConfig, validate: Validate, progress: 
     return checkpoint
 
 
-def _fresh(config: FitConfig, layout: Layout, task: Task) -> tuple[str, Any]:
+def _fresh(config: FitConfig, layout: Layout, task: Task) -> tuple[str, nn.Module]:
     """Kind of model, and the model that training starts from.
 
     Raises:
@@ -139,13 +140,14 @@ def _fresh(config: FitConfig, layout: Layout, task: Task) -> tuple[str, Any]:
         PwmGymError: settings beside ``init``, which has its own.
     """
     if not config.init:
-        return config.model, build_model(config.model, layout, task.control, config.settings)
+        fresh: Any = build_model(config.model, layout, task.control, config.settings)
+        return config.model, fresh
     if config.settings:
         raise PwmGymError(f"settings={config.settings} beside init={config.init!r}; expected none: it has its own")
     checkpoint = load_checkpoint(resolve(config.init, task.name))
     checkpoint.check_robot(layout, task.control)
-    model = build_model(checkpoint.kind, layout, task.control, checkpoint.description["config"])
-    cast("nn.Module", model).load_state_dict(cast("nn.Module", checkpoint.model).state_dict())
+    model: Any = build_model(checkpoint.kind, layout, task.control, checkpoint.description["config"])
+    model.load_state_dict(cast("nn.Module", checkpoint.model).state_dict())
     return checkpoint.kind, model
 
 

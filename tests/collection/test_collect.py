@@ -1,3 +1,4 @@
+import importlib
 import shutil
 import signal
 import subprocess
@@ -14,7 +15,7 @@ from pwm_gym.collection import CollectConfig, collect
 from pwm_gym.data import KINDS, Episode, load_split
 from pwm_gym.data.dataset import SPLITS
 from pwm_gym.data.episodes import read_shard
-from pwm_gym.errors import DatasetError, UnknownNameError
+from pwm_gym.errors import DatasetError, PwmGymError, UnknownNameError
 from pwm_gym.seeds import split_of
 from pwm_gym.tasks import get_task
 
@@ -89,6 +90,19 @@ def test_a_killed_run_resumes_to_the_same_data(data_config, data_folder, tmp_pat
     assert all(p.stat().st_mtime_ns == t for p, t in whole.items())  # what was there was kept
 
 
+def test_a_process_that_dies_ends_the_run_and_the_next_one_goes_on(copied, data_folder, tmp_path, monkeypatch):
+    (tmp_path / "deadly.py").write_text("import os\n\ndef die(job):\n    os._exit(1)\n")
+    monkeypatch.syspath_prepend(tmp_path)  # of processes of their own, too
+    for path in copied.out.glob("t*-practice-00000.npz"):
+        path.unlink()
+    with monkeypatch.context() as patch:
+        patch.setattr(sys.modules[collect.__module__], "_collect_shard", importlib.import_module("deadly").die)
+        with pytest.raises(PwmGymError, match="one of 2 processes died .* the same command goes on where it was"):
+            collect(replace(copied, workers=2), progress=False)
+    collect(copied, progress=False)
+    assert_same(copied.out, data_folder)
+
+
 def test_a_finished_data_set_is_left_alone(copied):
     before = {p: p.stat().st_mtime_ns for p in copied.out.iterdir()}
     collect(copied, progress=False)
@@ -156,6 +170,12 @@ def test_an_unknown_task_is_refused(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+def test_objects_that_a_task_has_not_leave_no_data_set(tmp_path):
+    with pytest.raises(PwmGymError, match="objects='unseen'; the objects of PickCube are always the same"):
+        collect(CollectConfig(objects="unseen", out=tmp_path), progress=False)
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_truncated_header_is_named(copied):
     path = copied.out / "dataset.json"
     path.write_text(path.read_text()[:100])
@@ -191,12 +211,12 @@ def test_a_tasks_data_set_has_a_folder_of_its_own():
 
 @pytest.mark.parametrize("pattern", ["*", "dataset.json", "train-*.npz"])
 def test_files_that_vanish_meanwhile_are_an_error(copied, monkeypatch, pattern):
-    def vanish(jobs, workers):
+    def vanish(*work):
         for path in copied.folder.glob(pattern):
             path.unlink()
         return iter(())
 
-    monkeypatch.setattr(sys.modules[collect.__module__], "_run", vanish)
+    monkeypatch.setattr(sys.modules[collect.__module__], "work_through", vanish)
     with pytest.raises(DatasetError, match=r"lost \d+ of \d+ files while it was collected"):
         collect(copied, progress=False)
 

@@ -5,10 +5,11 @@ import trimesh
 
 from pwm_gym.costs import contacts
 from pwm_gym.costs.grips import finger_overlap, grip
+from pwm_gym.scene import sample_surface
 
 
 def cloud(mesh, count=400):
-    return torch.as_tensor(trimesh.sample.sample_surface(mesh, count, seed=0)[0], dtype=torch.float32)
+    return torch.as_tensor(sample_surface(mesh, count, 0), dtype=torch.float32)
 
 
 def box(*sides, at=(0.0, 0.0, 0.0)):

@@ -18,7 +18,7 @@ from pwm_gym.training.losses import TrainConfig, rollout_loss
 
 @pytest.fixture(scope="module")
 def meshes(sim):
-    return sim.unwrapped.simulator.meshes()
+    return lambda scene: sim.unwrapped.simulator.meshes()
 
 
 @pytest.fixture(scope="module")
@@ -50,9 +50,9 @@ def test_the_answer_is_kept_in_a_file(train_split, seen, meshes, tmp_path):
     few = replace(train_split, episodes=train_split.episodes[:1])
     made = visibility(few, meshes, cache=path, progress=False)
     np.testing.assert_array_equal(made, seen[: len(made)])
-    np.testing.assert_array_equal(visibility(few, {}, cache=path, progress=False), made)  # no mesh is needed
+    np.testing.assert_array_equal(visibility(few, None, cache=path, progress=False), made)  # no mesh is needed
     with pytest.raises(DatasetError, match=rf"seen\.npz tells of {len(made)} frames"):
-        visibility(train_split, {}, cache=path, progress=False)
+        visibility(train_split, None, cache=path, progress=False)
 
 
 def test_visible_points_are_drawn_and_repeated_where_they_are_few():

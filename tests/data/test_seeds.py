@@ -2,6 +2,7 @@ import itertools
 
 import pytest
 
+from pwm_gym.errors import PwmGymError
 from pwm_gym.seeds import RANGES, seed_range, split_of
 
 
@@ -24,6 +25,8 @@ def test_no_more_seeds_than_there_are():
     assert len(seed_range("train", whole)) == whole
     with pytest.raises(ValueError, match=f"train has {whole} seeds; {whole - 1} \\+ 2 were asked for"):
         seed_range("train", 2, offset=whole - 1)
+    with pytest.raises(PwmGymError, match="-5 \\+ 2 were asked for"):
+        seed_range("train", 2, offset=-5)
 
 
 @pytest.mark.parametrize("seed", [-1, 10**9])

@@ -6,7 +6,8 @@ import torch
 from pwm_gym.dynamics import WorldModel, build_model
 from pwm_gym.dynamics.baselines.linear import BaselineConfig
 from pwm_gym.errors import CheckpointError, UnknownNameError
-from pwm_gym.scene import PointState
+from pwm_gym.robots import Channel
+from pwm_gym.scene import PointState, Support
 from pwm_gym.scene.se3 import make_pose
 
 SHUT, OPEN = -1.0, 1.0
@@ -93,6 +94,21 @@ def test_commanded_arms_go_each_its_own_way(worlds):
     torch.testing.assert_close(right, torch.tensor([[0, -0.05, 0]]).expand(2, 3), atol=1e-6, rtol=0)
 
 
+@pytest.mark.parametrize("both", [True, False])
+def test_commanded_grippers_are_each_arms_own(worlds, both):
+    channels = [Channel("gripper", 0, 1, rest=1.0, arm="right"), Channel("gripper", 1, 2, rest=1.0, arm="left")]
+    control = replace(worlds["two arms"].control, channels=tuple(channels if both else channels[:1]))
+    world = replace(worlds["two arms"], control=control)
+    state, model = world.state(moving=False), build("commanded", world)
+    after = model.step(state, torch.tensor([[OPEN, SHUT][: control.size]] * 2))
+    tree, links = model.response.tree, [state.layout.index(name) for name in model.links.names]
+    names = [model.links.names[i] for i in tree.moving]
+    before, found = (dict(zip(names, tree.positions(s.poses()[:, links]).T, strict=True)) for s in (state, after))
+    assert found["right_index"].tolist() == pytest.approx([1.2, 1.2], abs=1e-3)
+    left = [-0.2, -0.2] if both else before["left_index"].tolist()  # an arm without a gripper: its linear response
+    assert found["left_index"].tolist() == pytest.approx(left, abs=1e-3)
+
+
 def test_a_grasped_object_is_attached(world, grasp):
     model = build("commanded", world)
     hand, cube = grasp.layout.index("hand"), grasp.layout.index("cube")
@@ -150,6 +166,25 @@ def test_objects_fall_onto_what_is_below_them(worlds, new_body):
     torch.testing.assert_close(heights["cube"].amin(1), box, atol=1e-5, rtol=0)
     torch.testing.assert_close(heights["other"].amin(1), heights["cube"].amax(1), atol=1e-5, rtol=0)
     torch.testing.assert_close(heights["aside"].amin(1), torch.zeros(2), atol=1e-5, rtol=0)
+
+
+@pytest.mark.parametrize(
+    ("degrees", "at", "height"),
+    [
+        (0.0, (0.7, 0.0), 0.2),
+        (90.0, (0.7, 0.0), 0.0),
+        (90.0, (0.6, 0.1), 0.2),
+        (45.0, (0.7, 0.1), 0.2),
+        (45.0, (0.7, -0.1), 0.0),  # beside it, but within its extent along the base's axes
+    ],
+)
+def test_a_support_is_where_it_is_turned_to(world, degrees, at, height):
+    half = torch.deg2rad(torch.tensor(degrees / 2))
+    wall = Support((0.6, 0.0, 0.1, float(half.cos()), 0.0, 0.0, float(half.sin())), (0.2, 0.02, 0.1))
+    state = with_pose(world.state(1, moving=False), "cube", (*at, 0.3))
+    state = replace(state, layout=replace(state.layout, supports=(*state.layout.supports, wall)))
+    after = settled(world, state)
+    assert float(after.entity("cube")[..., 2].min()) == pytest.approx(height, abs=1e-5)
 
 
 def test_an_object_in_the_ground_does_not_fall_through_it(world):

@@ -7,6 +7,7 @@ from pwm_gym.dynamics import CompactModel, WorldModel, build_model, rollout
 from pwm_gym.dynamics.compact.attention import Block
 from pwm_gym.dynamics.compact.movers import _gate
 from pwm_gym.errors import PwmGymError, SceneError
+from pwm_gym.robots import Channel, Control
 from pwm_gym.robots.joints import JointTree
 from pwm_gym.scene import FIXED, Joint, Layout, Mimic, PointState, RigidState, Support
 from pwm_gym.scene.se3 import make_pose, rotation_from_vector
@@ -219,6 +220,19 @@ def test_a_model_of_another_robot_is_refused(worlds):
 def test_an_arm_without_its_hand_is_refused(worlds):
     with pytest.raises(SceneError, match="arm 'arm' has hand 'hand'; the robot's are none"):
         build_model("compact", worlds["no arm"].layout, worlds["cube"].control)
+
+
+def test_an_arm_that_is_driven_joint_by_joint_is_fitted(worlds):
+    """Its chain is known, but not how its joints follow an action."""
+    joints, gripper = Channel("joint", 0, 7, rest=None, arm="arm"), Channel("gripper", 7, 8, rest=1.0, arm="arm")
+    control = Control((joints, gripper), worlds["cube"].control.arms)
+    world = replace(worlds["cube"], control=control)
+    model, state, action = world.model(), world.state(), world.actions()
+    assert model.robot.known == [False] and model.prepare(state).joints is None
+    after = model.step(model.prepare(state), action)
+    other = model.step(model.prepare(state), action + torch.eye(8)[3])
+    assert after.points().isfinite().all()
+    assert (after.poses()[:, 0] - other.poses()[:, 0]).abs().max() > 1e-5
 
 
 def test_joints_of_another_number_are_refused(worlds):

@@ -12,6 +12,7 @@ from pwm_gym.envs import CameraConfig, SimEnv
 from pwm_gym.envs.camera_models import depth_camera
 from pwm_gym.errors import PwmGymError, UnknownNameError
 from pwm_gym.evaluation import chamfer
+from pwm_gym.experiments.distractors import add_distractors
 from pwm_gym.planning import Agent, MPPIConfig, Run, execute
 from pwm_gym.scene import Layout, batch_state
 from pwm_gym.tasks import TASKS, get_task
@@ -54,6 +55,25 @@ def test_what_is_shown_is_near_the_truth_but_not_it(name, request):
         np.testing.assert_allclose(shown[:robot], true[:robot], atol=1e-4)
     else:
         assert chamfer(shown[:robot], true[:robot]) > 1e-3
+
+
+@pytest.mark.parametrize("name", ["completed", "partial"])
+def test_a_camera_sees_further_bodies_which_observations_leave_out(name, sim, request):
+    env = request.getfixturevalue(name)
+    sim.reset(seed=300_000)
+    crowded = add_distractors(sim.unwrapped.scene(), "cube", 3, count=2, near=0)
+    observation, _ = env.reset(options={"scene": crowded})
+    assert observation in env.observation_space
+    for _ in range(2):
+        shown, true = (batch_state([env.unwrapped.scene(truth=t)]) for t in (False, True))
+        assert shown.layout.names == true.layout.names == crowded.layout.names
+        for further in crowded.layout.names[-2:]:
+            gap = (shown.entity(further).mean(1) - true.entity(further).mean(1)).norm()
+            assert 0 < float(gap) < 0.03
+        observation = env.step(np.zeros(7, np.float32))[0]
+    assert observation in env.observation_space
+    env.reset(seed=300_000)
+    assert env.unwrapped.scene().layout == env.unwrapped.layout
 
 
 def test_the_seed_decides_the_sensors_noise(completed):

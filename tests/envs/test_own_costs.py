@@ -75,7 +75,7 @@ def test_predictions_are_judged_by_the_environments_own_cost(costs):
     run = execute(env, agent, seed=0, max_steps=3)
     np.testing.assert_allclose(run.predicted_rewards, run.rewards, atol=1e-4)  # the world is the model itself
     assert run.predicted_rewards.max() < -5.0 and run.settings["reward_cost"] == "mine"
-    with pytest.raises(UnknownNameError, match="unknown cost 'mine'"):
+    with pytest.raises(UnknownNameError, match="unknown cost 'mine', of which the run's rewards are; register it"):
         rolled_out(run, agent)
     costs["mine"] = env.unwrapped.rules.cost
     again = rolled_out(run, agent)

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from pwm_gym.evaluation import chamfer, pearson, wilson, write_results
+from pwm_gym.errors import PwmGymError
+from pwm_gym.evaluation import chamfer, pearson, planning_table, wilson, write_results
 
 
 def brute_force(a, b, order):
@@ -53,6 +54,11 @@ def test_pearson_of_what_does_not_vary_is_none(series):
 )
 def test_wilson_gives_the_published_intervals(successes, trials, interval):
     assert wilson(successes, trials) == pytest.approx(interval, abs=1e-4)
+
+
+def test_a_table_of_no_runs_is_refused():
+    with pytest.raises(PwmGymError, match="no run is left to tell of"):
+        planning_table([])
 
 
 def test_wilson_of_nothing_is_everything():

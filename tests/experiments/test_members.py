@@ -107,16 +107,29 @@ def test_what_the_environment_shows_is_what_is_planned_from(data_folder, tmp_pat
 
 
 def test_a_piece_is_named_after_all_that_decides_it(tmp_path, monkeypatch):
-    def name(member, data="a"):
-        return table._piece(member, "closed loop", tmp_path / data, tmp_path, "PickCube", full=False).folder.name
+    def name(member, data="a", objects=""):
+        piece = table._piece(member, "closed loop", tmp_path / data, tmp_path, "PickCube", False, objects)
+        return piece.folder.name
 
     row, shipped = Member("x", "row", "3DPWM, paper-small"), Member("x", "checkpoint", "default")
     before = name(row)
     assert name(shipped) != name(replace(shipped, planner="cem")) and name(shipped) == name(replace(shipped, name="y"))
+    assert len({name(shipped, objects=x) for x in ("", "seen", "unseen")}) == 3
     assert name(BASELINE) != name(BASELINE, "b") and name(shipped) == name(shipped, "b")
     rows = [replace(r, episodes=7) for r in TABLES["rollout"].rows]
     monkeypatch.setitem(TABLES, "rollout", replace(TABLES["rollout"], rows=tuple(rows)))
     assert name(row) != before
+
+
+def test_every_member_plans_with_the_objects_asked_for(quick, bars, tmp_path):
+    members = (BASELINE, Member("itself", "simulator", "", slow=True, samples=4))
+    chosen = PlanningTable("objects", members, modes=("open loop",))
+    run_planning_table(chosen, bars, tmp_path, "PickYCB", objects="shape_ball")
+    runs = [Run.load(p) for p in tmp_path.rglob("seed-*.npz")]
+    assert [run.start.assets[3] for run in runs] == ["shape_ball"] * 2
+    assert sum(np.allclose(run.predicted, run.poses[1:], atol=1e-3) for run in runs) == 1  # the simulator's own
+    with pytest.raises(UnknownNameError, match="unknown object or set of objects 'shape_bal'.*'shape_ball'"):
+        run_planning_table(chosen, bars, tmp_path, "PickYCB", objects="shape_bal")
 
 
 def test_the_simulator_as_a_model_is_the_simulator(sim, random_actions):

@@ -41,5 +41,7 @@ def test_a_checkpoint_is_evaluated_on_its_tasks(folder, data_folder, tmp_path):
 def test_tasks_that_no_checkpoint_knows_are_named(folder, data_folder, tmp_path):
     with pytest.raises(PwmGymError, match="none of the checkpoints was trained on StackCube"):
         run_shared_table([folder], ["PickCube", "StackCube"], {"PickCube": data_folder}, tmp_path)
+    with pytest.raises(PwmGymError, match="objects='unseen'; the objects of PickCube are always the same"):
+        run_shared_table([folder], ["PickCube"], {"PickCube": data_folder}, tmp_path, objects="unseen")
     with pytest.raises(PwmGymError, match="expected --checkpoints FOLDER"):
         run_shared_table([], ["PickCube"], {}, tmp_path)

@@ -4,8 +4,8 @@ from dataclasses import replace
 import pytest
 
 from pwm_gym.dynamics import build_model
-from pwm_gym.errors import DatasetError, UnknownNameError
-from pwm_gym.experiments import TABLES, run_table
+from pwm_gym.errors import DatasetError, PwmGymError, UnknownNameError
+from pwm_gym.experiments import TABLES, run_table, tables
 from pwm_gym.experiments.tables import Row, Table
 from pwm_gym.tasks import get_task
 from pwm_gym.training.losses import TrainConfig
@@ -50,6 +50,23 @@ def test_a_changed_row_is_trained_anew(tiny, data_folder, tmp_path, monkeypatch)
         run_table(table, data_folder, tmp_path)
         counts.append(len(list(tmp_path.glob("*/result.json"))))
     assert counts == [1, 1, 2]
+
+
+def test_planned_rows_have_the_objects_asked_for(tiny, data_folder, tmp_path, monkeypatch):
+    asked = []
+    monkeypatch.setattr(tables, "check_objects", lambda task, objects: None)
+    monkeypatch.setattr(tables, "plan_episodes", lambda model, task, episodes, objects: asked.append(objects))
+    monkeypatch.setitem(TABLES, "plans", Table("", (replace(tiny, seeds=(0,), plan=1), replace(tiny, seeds=(1,)))))
+    for objects in ("", "unseen"):
+        run_table("plans", data_folder, tmp_path, objects=objects)
+    assert asked == ["", "unseen"]
+    assert len(list(tmp_path.glob("*/result.json"))) == 3  # what plans nothing has no objects
+
+
+def test_objects_that_a_task_has_not_are_refused_before_any_training(tiny, data_folder, tmp_path):
+    with pytest.raises(PwmGymError, match="objects='unseen'; the objects of PickCube are always the same"):
+        run_table("tiny", data_folder, tmp_path, objects="unseen")
+    assert not list(tmp_path.iterdir())
 
 
 def test_rows_of_a_table_have_one_budget():

@@ -120,6 +120,20 @@ def test_episodes_that_succeed_at_reset_are_left_out(counter):
     assert table["mean_steps_of_successes"] == 3.0
 
 
+def test_successes_are_told_by_object_where_episodes_have_different_ones(counter):
+    run = execute(counter, Recorder(), seed=9, max_steps=2)
+    count = len(run.start.layout)
+    names = [("link",) * (count - 1) + (name,) for name in ("can", "bar", "can")]
+    driven = {e.name for e in run.start.layout if e.driven}
+    assert len(driven) == count - 1
+    runs = [replace(run, start=replace(run.start, assets=assets), success=k == 2) for k, assets in enumerate(names)]
+    assert planning_table(runs)["objects"] == {
+        "bar": {"episodes": 1, "successes": 0},
+        "can": {"episodes": 2, "successes": 1},
+    }
+    assert planning_table([run])["objects"] == {}
+
+
 def test_a_table_of_failures_has_no_steps_to_success(counter):
     run = replace(execute(counter, Recorder(), seed=9, max_steps=2), plan_seconds=np.array([0.1, 0.3]))
     table = planning_table([run])

@@ -40,6 +40,8 @@ def test_arms_take_their_joints_one_after_the_other():
         ((replace(MOVE, stop=0),), r"components 0 to 0"),
         ((replace(MOVE, stop=2),), r"'translation' has 2 components; expected 3"),
         ((Channel("rotation", 0, 4),), r"'rotation' has 4 components; expected 3"),
+        ((MOVE, replace(MOVE, start=3, stop=6)), r"two channels 'translation' of arm 'arm'; expected one"),
+        ((Channel("rotation", 0, 3), Channel("rotation", 3, 6)), r"two channels 'rotation' of no arm; expected one"),
     ],
 )
 def test_channels_that_do_not_fit_are_refused(channels, message):

@@ -7,7 +7,6 @@ from pwm_gym.assets import (
     GENERATED_OBJECTS,
     OBJECT_SETS,
     MissingAssetsError,
-    generated_assets,
     object_grasps,
     select_objects,
 )
@@ -23,13 +22,9 @@ TWO = ("shape_ball", "shape_bar")
 
 
 @pytest.fixture(scope="module", autouse=True)
-def shapes(tmp_path_factory):
-    """No YCB objects on this machine: the generated shapes are all there is."""
-    folder = tmp_path_factory.mktemp("assets")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("MS_ASSET_DIR", str(folder / "none"))
-        patch.setenv("XDG_CACHE_HOME", str(folder))
-        yield generated_assets()
+def shapes(only_shapes):
+    """The generated shapes are all there is."""
+    return only_shapes
 
 
 @pytest.fixture(scope="module")

@@ -14,14 +14,15 @@ from torch import Tensor, nn
 
 from pwm_gym.dynamics.protocols import Transitions
 from pwm_gym.dynamics.response import LinearResponse
-from pwm_gym.robots import Arm, Control
+from pwm_gym.robots import Arm, Channel, Control
 from pwm_gym.robots.joints import JointTree
-from pwm_gym.scene import Layout, RigidState, State
-from pwm_gym.scene.se3 import inverse, make_pose, rotation_from_vector, transform
+from pwm_gym.scene import Entity, Layout, RigidState, State, Support
+from pwm_gym.scene.se3 import inverse, make_pose, matrix_from_pose7, rotation_from_vector, transform
 
 __all__ = ["BaselineConfig", "Commanded", "LinearBaseline", "Still"]
 
 _GRAVITY = 9.81
+_UPRIGHT = 1e-3  # of an edge's length; what is shorter seen from above is upright
 _REACHES = 0.01  # metres by which what is below an object may reach above its lowest point and still support it
 
 
@@ -138,15 +139,15 @@ class LinearBaseline(Still):
     @staticmethod
     def _support(state: RigidState, k: int, points: Tensor) -> Tensor:
         """Height (B,) of the highest support or entity below an object's points (B, n, 3)."""
-        low, high = points.amin(1), points.amax(1)
+        lowest = points[..., 2].amin(1)
         height = points.new_full((len(points),), state.layout.floor)  # however deep it was pushed
-        boxes = [_extent(s.origin[:3], s.half, points) for s in state.layout.supports]
+        boxes = [_box(support, points) for support in state.layout.supports]
         others = [e.name for i, e in enumerate(state.layout) if i != k and not e.driven]
-        boxes += [(x.amin(1), x.amax(1)) for x in map(state.entity, others)]
-        for lowest, highest in boxes:
-            beside = ((lowest[..., :2] < high[:, :2]) & (highest[..., :2] > low[:, :2])).all(-1)
-            below = beside & (highest[..., 2] <= low[:, 2] + _REACHES)
-            height = torch.where(below, torch.maximum(height, highest[..., 2]), height)
+        boxes += [(state.entity(name), torch.eye(2).to(points)) for name in others]
+        for other, ways in boxes:
+            top = other[..., 2].amax(1)
+            below = _overlap(points, other, ways) & (top <= lowest + _REACHES)
+            height = torch.where(below, torch.maximum(height, top), height)
         return height
 
 
@@ -157,10 +158,20 @@ def _hanging(layout: Layout) -> JointTree:
     return JointTree(layout, [i for i in layout.articulated if layout.entities[i].joint.parent is not None], attached)
 
 
-def _extent(origin: tuple[float, ...], half: tuple[float, ...], like: Tensor) -> tuple[Tensor, Tensor]:
-    """Lowest and highest corner (3,) of a support whose axes are the base's."""
-    centre, size = like.new_tensor(origin), like.new_tensor(half)
-    return centre - size, centre + size
+def _box(support: Support, like: Tensor) -> tuple[Tensor, Tensor]:
+    """Corners (1, 8, 3) of a support, and horizontal axes (K, 2): the base's and normals of its edges from above."""
+    pose = matrix_from_pose7(like.new_tensor([support.origin]))
+    signs = torch.cartesian_prod(*[like.new_tensor([-1.0, 1.0])] * 3)
+    x, y = pose[0, :2, :3]
+    normals = torch.stack([-y, x], -1)
+    ways = torch.cat([torch.eye(2).to(like), normals[normals.norm(dim=-1) > _UPRIGHT]])
+    return transform(pose, signs * like.new_tensor(support.half)), ways
+
+
+def _overlap(points: Tensor, other: Tensor, ways: Tensor) -> Tensor:
+    """Whether (B,) points (B, n, 3) and others (B, m, 3) overlap along each of the horizontal axes (K, 2)."""
+    mine, theirs = points[..., :2] @ ways.T, other[..., :2] @ ways.T
+    return ((mine.amin(1) < theirs.amax(1)) & (mine.amax(1) > theirs.amin(1))).all(-1)
 
 
 class Commanded(LinearBaseline):
@@ -176,9 +187,16 @@ class Commanded(LinearBaseline):
         return torch.stack(steps, 1) if steps else action.new_zeros(len(action), 0, 6)
 
     def _joints(self, positions: Tensor, action: Tensor) -> Tensor:
-        gripper = self.control.of_kind("gripper")
-        if not gripper:
-            return super()._joints(positions, action)
-        tree = self.response.tree
-        share = 0.5 * (action[:, gripper[0].start, None] + 1.0)
-        return tree.lower + share * (tree.upper - tree.lower)
+        tree, moved = self.response.tree, list(super()._joints(positions, action).unbind(-1))
+        for k, place in enumerate(tree.moving):
+            if (gripper := self._gripper(self.links.entities[place])) is not None:
+                share = 0.5 * (action[:, gripper.start] + 1.0)
+                moved[k] = tree.lower[k] + share * (tree.upper[k] - tree.lower[k])
+        return torch.stack(moved, -1) if moved else positions[:, 0]
+
+    def _gripper(self, link: Entity) -> Channel | None:
+        """The gripper that a link belongs to: that of the arm whose hand it hangs on, or of no arm in particular."""
+        while link.joint.parent is not None:
+            link = self.links[link.joint.parent]
+        arm = next((a.name for a in self.control.arms if a.hand == link.name), "")
+        return self.control.channel(arm, "gripper") or self.control.channel("", "gripper")

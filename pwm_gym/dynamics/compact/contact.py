@@ -9,7 +9,7 @@ what is told pair by pair decides who carries and pushes whom.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor, nn
@@ -17,13 +17,12 @@ from torch import Tensor, nn
 from pwm_gym.dynamics.compact.plan import Plan
 from pwm_gym.scene.se3 import inverse, transform
 
-__all__ = ["PAIR_FEATURES", "Contacts", "LinkShapes", "MoverContacts"]
+__all__ = ["PAIR_FEATURES", "Contacts", "LinkShapes", "MoverContacts", "Shapes"]
 
 _LENGTH, _NEAR, _TOUCH, _STEP = 0.1, 0.01, 0.005, 0.01  # metres that count as 1
 _DEPTH, _SPEED = 0.002, 0.001
 _FADE = 0.03  # metres beyond which entities that are no links do not see each other
 _HANGING, _HANGS = 0.004, 0.004  # metres: what is farther than the first (plus the second) from all is unsupported
-_APART = 1.0  # metres that part a mover from itself, and from what hangs on it
 PAIR_FEATURES = 7
 """Values of :attr:`Contacts.pairs`."""
 
@@ -40,8 +39,8 @@ class Contacts:
     """World-frame way (B, F, P, 3), metres, out of a partner that a mover would enter; zero elsewhere."""
     unsupported: Tensor
     """0 (B, F, 1) where something touches the mover, 1 where nothing is near."""
-    touching: Tensor
-    """World-frame point (B, F, P, 3) of each mover that is nearest to each partner."""
+    touching: Tensor | None
+    """World-frame point (B, F, P, 3) of each mover that is nearest to each partner, where some move along joints."""
 
 
 class _Pooled(nn.Module):
@@ -54,10 +53,57 @@ class _Pooled(nn.Module):
         )
         self.out = nn.Linear(2 * width, size)
 
-    def forward(self, features: Tensor) -> Tensor:
-        """(..., C) of points' features (..., n, K)."""
-        hidden = self.net(features)
+    def forward(self, rows: list[Tensor]) -> Tensor:
+        """(B, F, C) of points' features: rows (B, F, k, n), all of which one large product takes."""
+        features = torch.cat([row.permute(2, 0, 1, 3) for row in rows])  # (K, B, F, n)
+        hidden = self.net(features.flatten(1).t()).unflatten(0, features.shape[1:])
         return self.out(torch.cat([hidden.amax(-2), hidden.mean(-2)], -1))
+
+
+@dataclass(frozen=True)
+class Shapes:
+    """The points of each entity that are read, in its own frame."""
+
+    points: Tensor
+    """Homogeneous (B, P, 4, n): along the points in memory, which is faster to multiply and to reduce."""
+    low: Tensor
+    """Corner (B, P, 3) of the box around them."""
+    high: Tensor
+    """The opposite corner."""
+    middles: Tensor
+    """Mean points (B, P, 3)."""
+
+    @classmethod
+    def of(cls, points: Tensor) -> Shapes:
+        """Of canonical points (B, P, n, 3)."""
+        rows = nn.functional.pad(points.transpose(-1, -2), (0, 0, 0, 1), value=1.0)
+        return cls(rows, rows[:, :, :3].amin(-1), rows[:, :, :3].amax(-1), rows[:, :, :3].mean(-1))
+
+    def look_closer(self, plan: Plan, clouds: Tensor, ahead: Tensor) -> Shapes:
+        """The same, where half of the movers' points are those of larger clouds that are nearest to a partner's box.
+
+        What may be touched is told at the clouds' resolution, and the network reads no more points.
+
+        Args:
+            plan: of the layout.
+            clouds: canonical points (B, F, m, 3) of the movers.
+            ahead: poses (B, P, 4, 4) of all entities one step ahead.
+        """
+        count, half = plan.partners, self.points.shape[-1] // 2
+        rows = clouds.transpose(-1, -2)  # (B, F, 3, m)
+        with torch.no_grad():
+            local = inverse(ahead[:, :count]).unsqueeze(1) @ ahead[:, plan.movers].unsqueeze(2)  # (B, F, P, 4, 4)
+            centre, sides = 0.5 * (self.low + self.high)[:, :count], 0.5 * (self.high - self.low)[:, :count]
+            shift = local[..., :3, 3:] - centre[:, None, ..., None]
+            boxed = local[..., :3, :3] @ rows.unsqueeze(2) + shift  # (B, F, P, 3, m)
+            gaps = (boxed.abs() - sides[:, None, ..., None]).amax(-2) + plan.apart[:, -count:]  # (B, F, P, m)
+            nearest = gaps.amin(2).topk(half, -1, largest=False).indices
+        chosen = rows.gather(-1, nearest.unsqueeze(2).expand(-1, -1, 3, -1))
+        chosen = nn.functional.pad(chosen, (0, 0, 0, 1), value=1.0)
+        points, low, high = self.points.clone(), self.low.clone(), self.high.clone()
+        points[:, plan.movers, :, -half:] = chosen
+        low[:, plan.movers], high[:, plan.movers] = rows.amin(-1), rows.amax(-1)
+        return replace(self, points=points, low=low, high=high)
 
 
 class LinkShapes(nn.Module):
@@ -73,32 +119,33 @@ class LinkShapes(nn.Module):
     def __init__(self, width: int, size: int) -> None:
         super().__init__()
         ends = torch.tensor([False, True])
-        self.register_buffer("corners", torch.cartesian_prod(ends, ends, ends), persistent=False)  # (8, 3)
+        corners = torch.cartesian_prod(ends, ends, ends).t().contiguous()
+        self.register_buffer("corners", corners, persistent=False)  # (3, 8)
         self.net = _Pooled(7, width, size)
 
-    def forward(self, shapes: Tensor, links: Tensor, links_next: Tensor, frame: Tensor, floor: float) -> Tensor:
+    def forward(self, shapes: Shapes, links: Tensor, links_next: Tensor, seen: Tensor, floor: float) -> Tensor:
         """(B, L, C).
 
         Args:
-            shapes: canonical points (B, L, n, 3).
+            shapes: of all entities, the links first.
             links: poses (B, L, 4, 4).
             links_next: the same one step later, as foreseen.
-            frame: pose (B, 4, 4) of the frame of reference.
+            seen: inverse pose (B, 3, 4) of the frame of reference.
             floor: its height, metres.
         """
-        low, high = shapes.amin(-2).unsqueeze(-2), shapes.amax(-2).unsqueeze(-2)  # (B, L, 1, 3)
-        corners = torch.where(self.corners, high, low)
-        points, after = transform(links, corners), transform(links_next, corners)
-        height, next_height = points[..., 2:] - floor, after[..., 2:] - floor
-        seen = (points - frame[:, None, None, :3, 3]) @ frame[:, None, :3, :3]
-        parts = [
-            seen / _LENGTH,
-            height.clamp(-1, 1) / _LENGTH,
-            torch.tanh(height / _NEAR),
-            torch.tanh(next_height / _NEAR),
-            torch.tanh(next_height / _TOUCH),
-        ]
-        return self.net(torch.cat(parts, -1))
+        count = links.shape[1]
+        corners = torch.where(self.corners, shapes.high[:, :count, :, None], shapes.low[:, :count, :, None])
+        maps = torch.cat([seen.unsqueeze(1) @ links, links[:, :, 2:3], links_next[:, :, 2:3]], 2)  # (B, L, 5, 4)
+        place, heights = (maps[..., :3] @ corners + maps[..., 3:]).split([3, 2], 2)
+        heights = heights - floor
+        return self.net(
+            [
+                place / _LENGTH,
+                heights[:, :, :1].clamp(-1, 1) / _LENGTH,
+                torch.tanh(heights / _NEAR),
+                torch.tanh(heights[:, :, 1:] / _TOUCH),
+            ]
+        )
 
 
 class MoverContacts(nn.Module):
@@ -119,87 +166,127 @@ class MoverContacts(nn.Module):
         self.net = _Pooled(own + 5 * links + 6, width, size)
 
     def forward(
-        self, plan: Plan, poses: Tensor, shapes: Tensor, moves: Tensor, links_next: Tensor, frames: Tensor
+        self,
+        plan: Plan,
+        poses: Tensor,
+        shapes: Shapes,
+        moves: Tensor,
+        links_next: Tensor,
+        frames: Tensor,
+        seen: Tensor,
     ) -> Contacts:
         """Contacts of scenes (B,) with at least one mover; entities are in the plan's order.
 
         Args:
             plan: of the scenes' layout.
             poses: (B, 3, P, 4, 4) at t, t-1, t-2.
-            shapes: canonical points (B, P, n, 3).
+            shapes: of the entities.
             moves: last world-frame twists (B, P, 6).
             links_next: foreseen poses (B, L, 4, 4) of the links.
             frames: poses (B, 2, 4, 4) of the frame of reference, now and as foreseen.
+            seen: their inverses (B, 2, 3, 4).
         """
         now, before = poses[:, 0], poses[:, 1]
-        ahead = torch.cat([links_next, (2.0 * now - before)[:, self._links :]], 1)
-        here, there = now[:, plan.movers], ahead[:, plan.movers]
-        points = nn.functional.pad(shapes[:, plan.movers], (0, 1), value=1.0).transpose(-1, -2)  # (B, F, 4, n)
-        now, ahead, theirs = now[:, : plan.partners], ahead[:, : plan.partners], shapes[:, : plan.partners]
-        moves_of_movers, moves = moves[:, plan.movers], moves[:, : plan.partners]
-        local = inverse(now).unsqueeze(1) @ here.unsqueeze(2)  # (B, F, P, 4, 4)
-        local_next = inverse(ahead).unsqueeze(1) @ there.unsqueeze(2)
-        box = _box(theirs.unsqueeze(1))
-        gap = _box_distance(local[:, :, :, :3] @ points.unsqueeze(2), *box)  # (B, F, P, n)
-        gap_next, out = _box_gap(local_next[:, :, :, :3] @ points.unsqueeze(2), *box)
-        alone = _APART * plan.itself.unsqueeze(-1)  # (F, P, 1)
-        gap, gap_next = gap + alone, gap_next + alone
-        nearest, touching, push = self._pushes(
-            ahead, there, theirs, _box(shapes[:, plan.movers].unsqueeze(2)), points, local_next, (gap_next, out), plan
+        others = torch.lerp(before[:, self._links :], now[:, self._links :], 2.0)  # as fast as in the last step
+        both = torch.stack([now, torch.cat([links_next, others], 1)], 1)  # (B, 2, P, 4, 4)
+        centre, half = 0.5 * (shapes.low + shapes.high), 0.5 * (shapes.high - shapes.low)
+        turns = both[..., :3, :3].transpose(-1, -2)
+        shift = turns @ both[..., :3, 3:] + centre[:, None, ..., None]
+        boxes = torch.cat([turns, -shift], -1)  # (B, 2, P, 3, 4): from the world to the axes of each entity's box
+        (rows, local), sizes = self._rows(plan, poses, both, boxes, seen), plan.box_rows
+        product = rows @ shapes.points[:, plan.movers]  # (B, F, R, n): all that is linear in the movers' points
+        boxed, height, place, boxed_next, *others_rows = product.split([*sizes, *sizes, 3, len(self._hands)], 2)
+        gap, out = self._gaps(plan, boxed, boxed_next, local, shapes.points, centre, half)
+        count, most = plan.partners, plan.touchable
+        nearest, push, touching = self._pushes(plan, both[:, 1], gap[:, :, most:], out, shapes.points)
+        lowest = gap[:, :, :most].amin(-1)
+        pairs = self._pairs(
+            now[:, :count], now[:, plan.movers], moves[:, :count], moves[:, plan.movers], lowest[:, :, :count], nearest
         )
-        pairs = self._pairs(now, here, moves, moves_of_movers, gap.amin(-1), nearest)
-        turned = (ahead[:, :, :3, :3].transpose(-1, -2) @ frames[:, :1, :3, :3]).transpose(-1, -2)
-        out = turned.unsqueeze(1) @ out
-        if len(plan.walls):
-            gap, gap_next, out = self._with_walls(plan, (gap, gap_next, out), here, there, points, frames[:, 0])
-        told = self._own(plan, here, there, before[:, plan.movers], points, local, links_next, frames)
-        told += self._partners(gap, gap_next, out)
-        clear = torch.minimum(gap.amin((-1, -2)), (here[:, :, 2:3] @ points).amin((-1, -2)) - plan.floor)
+        turned = plan.with_walls(turns[:, 1, :count], plan.walls[:, :3, :3], 1) @ frames[:, :1, :3, :3]
+        told = self._own(plan, height, place, others_rows, links_next, centre)
+        told += self._partners(gap[:, :, : 2 * most], _turned(turned.transpose(-1, -2).unsqueeze(1), out[:, :, :most]))
+        clear = torch.minimum(lowest.amin(-1), height.amin((-1, -2)) - plan.floor)
         return Contacts(
-            told=self.net(torch.cat(told, 2).transpose(-1, -2)),
+            told=self.net(told),
             pairs=pairs,
             push=push,
             unsupported=((clear - _HANGING) / _HANGS).clamp(0.0, 1.0).unsqueeze(-1),
             touching=touching,
         )
 
+    def _rows(self, plan: Plan, poses: Tensor, both: Tensor, boxes: Tensor, seen: Tensor) -> tuple[Tensor, Tensor]:
+        """Maps (B, F, R, 4) of the movers' canonical points to all that is linear in them.
+
+        Their places in the axes of the boxes of partners and walls, their height and their place in the frame of
+        reference, now and one step ahead; their velocity; their heights if each hand carried them. The maps
+        (B, F, P, 3, 4) to the axes of the partners' boxes one step ahead are told apart, too.
+        """
+        count = plan.partners
+        fixed = plan.fixed_rows.expand(len(poses), 2, -1, -1)
+        outer = torch.cat([boxes[:, :, :count].flatten(2, 3), fixed, seen], 2)  # (B, 2, R', 4)
+        movers = both[:, :, plan.movers]  # (B, 2, F, 4, 4)
+        inner = (outer @ movers.transpose(2, 3).flatten(3)).unflatten(-1, (-1, 4)).permute(0, 3, 1, 2, 4)
+        here = movers[:, 0]
+        rows = [inner.flatten(2, 3), seen[:, :1, :, :3] @ (here - poses[:, 1, plan.movers])[:, :, :3]]
+        rows += [both[:, 1, None, k, 2:3, :3] @ inner[:, :, 0, 3 * k : 3 * k + 3] for k in self._hands]
+        return torch.cat(rows, 2), inner[:, :, 1, : 3 * count].unflatten(2, (count, 3))
+
     @staticmethod
-    def _with_walls(
-        plan: Plan, known: tuple[Tensor, ...], here: Tensor, there: Tensor, points: Tensor, frame: Tensor
-    ) -> list[Tensor]:
-        """Gaps now and ahead and ways out, those of the fixed boxes of the world included."""
-        half = plan.wall_half[:, :, None]
-        gap = _box_distance((plan.walls[:, :3] @ here.unsqueeze(2)) @ points.unsqueeze(2), -half, half)
-        gap_next, out = _box_gap((plan.walls[:, :3] @ there.unsqueeze(2)) @ points.unsqueeze(2), -half, half)
-        turned = (plan.walls[:, :3, :3] @ frame[:, None, :3, :3]).transpose(-1, -2)  # (B, S, 3, 3)
-        return [torch.cat(pair, 2) for pair in zip(known, (gap, gap_next, turned.unsqueeze(1) @ out), strict=True)]
+    def _gaps(
+        plan: Plan, boxed: Tensor, boxed_next: Tensor, local: Tensor, points: Tensor, centre: Tensor, half: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Signed distances (B, F, 2 P' + P, n) of points to boxes, and ways out (B, F, P' + P, 3, n), the later ones'.
+
+        Of the movers' points to the P' boxes of partners and walls, now and one step ahead, and of the P partners'
+        points to the movers' boxes then.
+
+        Args:
+            plan: of the layout.
+            boxed: movers' points (B, F, 3 P', n) in the axes of the boxes.
+            boxed_next: the same one step ahead.
+            local: maps (B, F, P, 3, 4) from the movers to the axes of the partners' boxes then.
+            points: canonical ones (B, E, 4, n).
+            centre: the boxes' middles (B, E, 3).
+            half: half the boxes' sides (B, E, 3).
+        """
+        count, movers = plan.partners, len(plan.places)
+        local = local.transpose(1, 2)  # (B, P, F, 3, 4)
+        turned = local[..., :3].transpose(-1, -2)
+        shift = turned @ (local[..., 3:] + centre[:, :count, None, :, None]) + centre[:, None, plan.movers, :, None]
+        # A product of fewer than 400 multiplications takes a loop that is slower than a larger one: hence a fourth row.
+        back = nn.functional.pad(torch.cat([turned, -shift], -1), (0, 0, 0, 1)).flatten(2, 3)  # (B, P, 4 F, 4)
+        theirs = back @ points[:, :count]
+        theirs = theirs.unflatten(2, (movers, 4))[:, :, :, :3].transpose(1, 2)  # (B, F, P, 3, n)
+        rows = torch.cat([boxed.unflatten(2, (-1, 3)), boxed_next.unflatten(2, (-1, 3)), theirs], 2)
+        sides = plan.with_walls(half[:, :count], plan.wall_half, 1).unsqueeze(1).expand(-1, movers, -1, -1)
+        own = half[:, plan.movers].unsqueeze(2).expand(-1, -1, count, -1)
+        gap, out = _box_gap(rows, torch.cat([sides, sides, own], 2).unsqueeze(-1), plan.touchable)
+        return gap + plan.apart, out
 
     def _own(
-        self,
-        plan: Plan,
-        here: Tensor,
-        there: Tensor,
-        before: Tensor,
-        points: Tensor,
-        local: Tensor,
-        links_next: Tensor,
-        frames: Tensor,
+        self, plan: Plan, height: Tensor, place: Tensor, others: list[Tensor], links_next: Tensor, centre: Tensor
     ) -> list[Tensor]:
-        """Rows (B, F, k, n) of what each point tells without its partners."""
-        seen, seen_next = inverse(frames).unsqueeze(2).unbind(1)  # (B, 1, 4, 4) each
-        maps = [  # of canonical points, each (B, F, k, 4): all that is linear in a point is one product
-            (seen @ here)[:, :, :3],
-            (seen_next @ there)[:, :, :3],
-            seen[:, :, :3, :3] @ (here - before)[:, :, :3],
-            here[:, :, 2:3],
-            there[:, :, 2:3],
-        ]
-        maps += [links_next[:, None, k, 2:3] @ local[:, :, k] for k in self._hands]
-        place, ahead, velocity, heights = (torch.cat(maps, 2) @ points).split([3, 3, 3, 2 + len(self._hands)], 2)
-        heights = heights - plan.floor
-        height, falling = heights[:, :, :1], heights[:, :, 1:2] + self._fall
-        held = heights[:, :, 2:].amin(2, keepdim=True) if self._hands else height  # if a hand carried it
-        parts = torch.cat([height / _NEAR, falling / _NEAR, held / _NEAR, held / _TOUCH], 2)
+        """Rows (B, F, k, n) of what each point tells without its partners.
+
+        Args:
+            plan: of the layout.
+            height: (B, F, 1, n), metres.
+            place: in the frame of reference (B, F, 3, n).
+            others: height and place one step ahead, velocity, and turned with each hand (B, F, H, n).
+            links_next: foreseen poses (B, L, 4, 4) of the links.
+            centre: middles (B, P, 3) of the entities' boxes, which a hand's turn is about.
+        """
+        height_next, ahead, velocity, held = others
+        height = height - plan.floor
+        falling = height_next + (self._fall - plan.floor)
+        if self._hands:  # the lowest if a hand carried it
+            hands = plan.hands
+            middles = (links_next[:, hands, 2, :3] * centre[:, hands]).sum(-1) + links_next[:, hands, 2, 3]  # (B, H)
+            held = (held + (middles - plan.floor)[:, None, :, None]).amin(2, keepdim=True)
+        else:
+            held = height
+        parts = torch.cat([height, falling, held, (_NEAR / _TOUCH) * held], 2) / _NEAR
         return [
             place / _LENGTH,
             (ahead - place) / _STEP,
@@ -208,41 +295,51 @@ class MoverContacts(nn.Module):
             torch.tanh(parts),
         ]
 
-    def _partners(self, gap: Tensor, gap_next: Tensor, out: Tensor) -> list[Tensor]:
-        """Rows (B, F, k, n) of what each point tells of its partners: of each link, and of all others together."""
-        known = torch.tanh(torch.cat([gap.unsqueeze(3) / _TOUCH, gap_next.unsqueeze(3) / _TOUCH, out / _NEAR], 3))
-        links, rest = known[:, :, : self._links], known[:, :, self._links :]  # (B, F, k, 5, n)
-        fade = (1.0 - gap_next[:, :, self._links :] / _FADE).clamp(0.0, 1.0).unsqueeze(3)
+    def _partners(self, gaps: Tensor, out: Tensor) -> list[Tensor]:
+        """Rows (B, F, k, n) of what each point tells of its partners: of each link, and of all others together.
+
+        Args:
+            gaps: (B, F, 2 P, n) now, and one step ahead.
+            out: ways out (B, F, P, 3, n) then.
+        """
+        gaps = gaps.unflatten(2, (2, -1)).transpose(2, 3)  # (B, F, P, 2, n)
+        known = torch.tanh(torch.cat([gaps / _TOUCH, out / _NEAR], 3))
+        links = known[:, :, : self._links].flatten(2, 3)
+        if known.shape[2] == self._links:
+            return [links, known.new_zeros(*known.shape[:2], 6, known.shape[-1])]
+        rest = known[:, :, self._links :]  # (B, F, k, 5, n)
+        fade = (1.0 - gaps[:, :, self._links :, 1:] / _FADE).clamp(0.0, 1.0)
         near = torch.cat([fade, fade * (1.0 - rest[:, :, :, :2]), fade * rest[:, :, :, 2:]], 3)
-        return [links.flatten(2, 3), near.sum(2)]
+        return [links, near.sum(2)]
 
     @staticmethod
     def _pushes(
-        ahead: Tensor,
-        there: Tensor,
-        shapes: Tensor,
-        box: tuple[Tensor, Tensor],
-        points: Tensor,
-        local_next: Tensor,
-        known: tuple[Tensor, Tensor],
-        plan: Plan,
-    ) -> tuple[Tensor, Tensor, Tensor]:
-        """Smallest gaps (B, F, P), nearest points (B, F, P, 3) and ways out (B, F, P, 3), one step ahead.
+        plan: Plan, ahead: Tensor, gap: Tensor, out: Tensor, points: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor | None]:
+        """Smallest gaps (B, F, P), ways out (B, F, P, 3) and nearest points (B, F, P, 3), one step ahead.
 
         Both the movers' points in the partners' boxes count, and the partners' points in the movers' boxes.
+
+        Args:
+            plan: of the layout.
+            ahead: poses (B, E, 4, 4) of all entities.
+            gap: of movers' points to partners and walls, then of partners' points to movers (B, F, P' + P, n).
+            out: the ways out (B, F, P' + P, 3, n).
+            points: canonical ones (B, E, 4, n).
         """
-        gap, out = known
-        nearest, index = gap.min(-1)
-        way = (ahead[:, None, :, :3, :3] @ _at(out, index).unsqueeze(-1)).squeeze(-1)
-        theirs = nn.functional.pad(shapes, (0, 1), value=1.0).transpose(-1, -2).unsqueeze(1)  # (B, 1, P, 4, n)
-        gap_back, out_back = _box_gap(inverse(local_next)[:, :, :, :3] @ theirs, *box)
-        nearest_back, index_back = (gap_back + _APART * plan.itself.unsqueeze(-1)).min(-1)
-        way_back = -(there[:, :, None, :3, :3] @ _at(out_back, index_back).unsqueeze(-1)).squeeze(-1)
-        smallest = torch.minimum(nearest, nearest_back)
+        count, most, there = plan.partners, plan.touchable, ahead[:, plan.movers]
+        smallest, index = gap.min(-1)
+        ways = _at(out, index).unsqueeze(-1)
+        way = (ahead[:, None, :count, :3, :3] @ ways[:, :, :count]).squeeze(-1)
+        way_back = -(there[:, :, None, :3, :3] @ ways[:, :, most:]).squeeze(-1)
+        nearest, nearest_back = smallest[:, :, :count], smallest[:, :, most:]
         chosen = torch.where((nearest_back < nearest).unsqueeze(-1), way_back, way)
-        own = _at(points[:, :, None, :3].expand(-1, -1, index.shape[2], -1, -1), index)
-        touching = (there[:, :, None, :3, :3] @ own.unsqueeze(-1)).squeeze(-1) + there[:, :, None, :3, 3]
-        return smallest, touching, chosen * (smallest < 0.0).unsqueeze(-1)
+        nearest = torch.minimum(nearest, nearest_back)
+        touching = None
+        if plan.articulated:
+            own = points[:, plan.movers, None, :3].expand(-1, -1, count, -1, -1)
+            touching = transform(there.unsqueeze(2), _at(own, index[:, :, :count]).unsqueeze(-2)).squeeze(-2)
+        return nearest, chosen * (nearest < 0.0).unsqueeze(-1), touching
 
     @staticmethod
     def _pairs(now: Tensor, here: Tensor, moves: Tensor, own: Tensor, gap: Tensor, gap_next: Tensor) -> Tensor:
@@ -258,7 +355,7 @@ class MoverContacts(nn.Module):
         """
         offset = here[:, :, None, :3, 3] - now[:, None, :, :3, 3]
         theirs, own = moves.unsqueeze(1), own.unsqueeze(2)
-        carried = theirs[..., :3] + torch.linalg.cross(theirs[..., 3:].expand_as(offset), offset)
+        carried = theirs[..., :3] + torch.linalg.cross(theirs[..., 3:], offset)
         slip = (own[..., :3] - carried).square().sum(-1).clamp_min(1e-12).sqrt()
         speed = own[..., :3].square().sum(-1).clamp_min(1e-12).sqrt().expand_as(gap)
         rows = [
@@ -278,28 +375,26 @@ def _at(vectors: Tensor, index: Tensor) -> Tensor:
     return vectors.gather(-1, index[..., None, None].expand(*index.shape, 3, 1)).squeeze(-1)
 
 
-def _box(shapes: Tensor) -> tuple[Tensor, Tensor]:
-    """Corners (..., 3, 1) of the boxes around points (..., n, 3)."""
-    return shapes.amin(-2).unsqueeze(-1), shapes.amax(-2).unsqueeze(-1)
+def _turned(rotation: Tensor, vectors: Tensor) -> Tensor:
+    """Vectors (..., 3, n) turned by rotations (..., 3, 3); a product of so few rows takes three times as long."""
+    (a, b, c), (x, y, z) = rotation.split(1, -1), vectors.split(1, -2)
+    return torch.addcmul(torch.addcmul(a * x, b, y), c, z)
 
 
-def _box_distance(points: Tensor, low: Tensor, high: Tensor) -> Tensor:
-    """Signed distance (..., n) of points (..., 3, n) to a box."""
-    beyond = torch.maximum(low - points, points - high)
-    outside = beyond.clamp_min(0.0).square().sum(-2).clamp_min(1e-12).sqrt()
-    return outside + beyond.amax(-2).clamp_max(0.0)
-
-
-def _box_gap(points: Tensor, low: Tensor, high: Tensor) -> tuple[Tensor, Tensor]:
-    """Signed distance (..., n) of points (..., 3, n) to a box, and the outward vector (..., 3, n) of that length.
+def _box_gap(points: Tensor, half: Tensor, first: int) -> tuple[Tensor, Tensor]:
+    """Signed distance (..., G, n) of points (..., G, 3, n) to boxes about the origin, and the vectors of that length.
 
     The vector leads from the box's surface to a point outside, and from a point inside to the nearest face.
+
+    Args:
+        points: in the boxes' axes.
+        half: half the boxes' sides (..., G, 3, 1).
+        first: place among G from which on vectors (..., G - first, 3, n) are told.
     """
-    below, above = low - points, points - high
-    beyond = torch.maximum(below, above)
-    outward = above.clamp_min(0.0) - below.clamp_min(0.0)
-    outside = outward.square().sum(-2).clamp_min(1e-12).sqrt()
-    deepest = beyond.amax(-2, keepdim=True)
+    beyond = points.abs() - half
+    deepest, outside = beyond.amax(-2, keepdim=True), beyond.clamp_min(0.0)
     inside = deepest.clamp_max(0.0)
-    side = torch.where(above > below, 1.0, -1.0) * (beyond == deepest)
-    return outside + inside.squeeze(-2), outward - inside * side
+    gap = outside.square().sum(-2).clamp_min(1e-12).sqrt() + inside.squeeze(-2)
+    later = (..., slice(first, None), slice(None), slice(None))
+    face = 1.0 + (beyond[later] - deepest[later]).sign()  # 1 at the nearest one: comparisons take longer
+    return gap, points[later].sign() * (outside[later] - inside[later] * face)

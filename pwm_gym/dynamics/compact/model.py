@@ -21,7 +21,7 @@ import torch
 from torch import Tensor, nn
 
 from pwm_gym.dynamics.compact.attention import Block
-from pwm_gym.dynamics.compact.contact import LinkShapes, MoverContacts
+from pwm_gym.dynamics.compact.contact import LinkShapes, MoverContacts, Shapes
 from pwm_gym.dynamics.compact.movers import MoverMotion, Scales
 from pwm_gym.dynamics.compact.plan import Plan
 from pwm_gym.dynamics.compact.robot import RobotForecast, RobotMotion
@@ -32,7 +32,7 @@ from pwm_gym.errors import PwmGymError
 from pwm_gym.robots import Control
 from pwm_gym.scene import Layout, RigidState, State
 from pwm_gym.scene.joint import JOINT_KINDS
-from pwm_gym.scene.se3 import make_pose
+from pwm_gym.scene.se3 import inverse, make_pose
 
 __all__ = ["CompactConfig", "CompactModel"]
 
@@ -48,6 +48,9 @@ class CompactConfig:
 
     points: int = 32
     """Points of each entity that the network reads (the first of its cloud, which are well spread)."""
+    searched: int = 128
+    """Points of each entity that contact moves, the nearest of which to other entities take the place of half of those
+    that are read; 0 reads the same points at every step."""
     point_width: int = 64
     """Channels of the per-point networks."""
     width: int = 96
@@ -115,7 +118,8 @@ class CompactModel(nn.Module):
         if len(self._plans) > _PLANS:
             self._plans.clear()
         if found is None or found.layout is not layout or found.kinds.device != device:
-            found = self._plans[id(layout)] = Plan.build(layout, self.links, device)
+            with torch.inference_mode(False):  # a planner may be the first to ask, and a training the next
+                found = self._plans[id(layout)] = Plan.build(layout, self.links, device)
         return found
 
     def prepare(self, state: State) -> RigidState:
@@ -137,7 +141,7 @@ class CompactModel(nn.Module):
     @property
     def read_points(self) -> int:
         """Points of each entity that it reads."""
-        return self.config.points
+        return max(self.config.points, self.config.searched)
 
     def own_joints(self, joints: Tensor) -> Tensor:
         """The known arms' joints (..., 2, J) of the robot's (..., 2, J')."""
@@ -157,19 +161,20 @@ class CompactModel(nn.Module):
         plan = self.plan(state.layout)
         poses = state.frames if plan.sorted else state.frames[:, :, plan.order]  # (B, 3, P, 4, 4)
         links, moves = poses[:, :, : plan.links], twists(poses.transpose(1, 2))  # (B, P, 2, 6)
-        shapes = self._shapes(state, plan)
 
         # What is known: the robot's response, and where everything is going.
         forecast = self.robot.forecast(links, state.joints, action, plan.floor)
+        shapes = self._shapes(state, plan, poses, forecast.links)
         frames = torch.stack([self._frame(poses[:, 0]), self._frame(forecast.links)], 1)  # (B, 2, 4, 4)
+        seen = inverse(frames)[:, :, :3]
 
         # Tokens: entities with their contacts, the action, registers.
         tokens = self._features(plan, poses, moves, forecast, frames[:, 0])
-        told = self.shapes(shapes[:, : plan.links], links[:, 0], forecast.links, frames[:, 0], plan.floor)
+        told = self.shapes(shapes, links[:, 0], forecast.links, seen[:, 0], plan.floor)
         rows = [self.robot.tokens(forecast, tokens[:, : plan.links] + told)]
         contacts = None
-        if plan.movers:
-            contacts = self.contact(plan, poses, shapes, moves[:, :, 0], forecast.links, frames)
+        if plan.places:
+            contacts = self.contact(plan, poses, shapes, moves[:, :, 0], forecast.links, frames, seen)
             rows.append(self._with_contacts(plan, tokens[:, plan.links :], contacts.told))
         elif len(plan.order) > plan.links:
             rows.append(tokens[:, plan.links :])
@@ -181,9 +186,8 @@ class CompactModel(nn.Module):
         )
         following = torch.cat([links_next, poses[:, 0, plan.links :]], 1)
         if contacts is not None:
-            middle = shapes.mean(2)
             rotation = frames[:, 0, :3, :3]
-            following = self.movers(plan, poses, moves[:, :, 0], middle, contacts, tokens, links_next, rotation)
+            following = self.movers(plan, poses, moves[:, :, 0], shapes, contacts, tokens, links_next, rotation)
         elif plan.attached:
             following = plan.tree.place(following, following.new_zeros(len(following), 0), poses[:, 0])
         if not plan.sorted:
@@ -193,11 +197,18 @@ class CompactModel(nn.Module):
             error = state.error + self.error(tokens)
         return state.advance(following, joints, error), tokens
 
-    def _shapes(self, state: RigidState, plan: Plan) -> Tensor:
-        """Canonical points (B, P, n, 3) that are read, equally many of each entity."""
-        chosen = [state.layout.entities[k] for k in plan.order]
-        count = min(self.config.points, *(e.points for e in chosen))
-        return torch.stack([state.clouds[:, e.start : e.start + count] for e in chosen], 1)
+    def _shapes(self, state: RigidState, plan: Plan, poses: Tensor, links_next: Tensor) -> Shapes:
+        """The canonical points that are read, equally many of each entity."""
+        every = [state.layout.entities[k] for k in plan.order]
+        count = min(self.config.points, *(e.points for e in every))
+        shapes = Shapes.of(torch.stack([state.clouds[:, e.start : e.start + count] for e in every], 1))
+        movers = [every[k] for k in plan.places]
+        searched = min(self.config.searched, *(e.points for e in every))
+        if searched <= count or not movers or not plan.partners:
+            return shapes
+        clouds = torch.stack([state.clouds[:, e.start : e.start + searched] for e in movers], 1)
+        others = torch.lerp(poses[:, 1, plan.links :], poses[:, 0, plan.links :], 2.0)  # as fast as in the last step
+        return shapes.look_closer(plan, clouds, torch.cat([links_next, others], 1))
 
     def _frame(self, poses: Tensor) -> Tensor:
         """Frame of reference (B, 4, 4) at poses (B, P, 4, 4): the hand's, or base axes about the hands' middle."""
@@ -228,10 +239,10 @@ class CompactModel(nn.Module):
     @staticmethod
     def _with_contacts(plan: Plan, tokens: Tensor, told: Tensor) -> Tensor:
         """Tokens (B, P - L, C) of what is not driven, with what contacts tell the movers (B, F, C) added."""
-        places = [m - plan.links for m in plan.movers]
-        if places == list(range(tokens.shape[1])):
+        if isinstance(plan.movers, slice) and told.shape == tokens.shape:
             return tokens + told
-        return tokens.index_add(1, torch.tensor(places, device=tokens.device), told)
+        places = torch.tensor(plan.places, device=tokens.device) - plan.links
+        return tokens.index_add(1, places, told)
 
     def _features(self, plan: Plan, poses: Tensor, moves: Tensor, forecast: RobotForecast, frame: Tensor) -> Tensor:
         """Entity tokens (B, P, C) of poses (B, 3, P, 4, 4) and motions (B, P, 2, 6) as seen from the frame (B, 4, 4).

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-from pwm_gym.dynamics.compact.contact import PAIR_FEATURES, Contacts
+from pwm_gym.dynamics.compact.contact import PAIR_FEATURES, Contacts, Shapes
 from pwm_gym.dynamics.compact.plan import Plan
 from pwm_gym.dynamics.response import twist
 from pwm_gym.scene.joint import JOINT_KINDS
@@ -82,7 +82,7 @@ class MoverMotion(nn.Module):
         plan: Plan,
         poses: Tensor,
         moves: Tensor,
-        middle: Tensor,
+        shapes: Shapes,
         contacts: Contacts,
         tokens: Tensor,
         links_next: Tensor,
@@ -94,7 +94,7 @@ class MoverMotion(nn.Module):
             plan: of the scenes' layout.
             poses: (B, 3, P, 4, 4) at t, t-1, t-2.
             moves: last world-frame twists (B, P, 6).
-            middle: canonical middles (B, P, 3) of the entities.
+            shapes: of the entities.
             contacts: of the movers.
             tokens: (B, P, C).
             links_next: the links' next poses (B, L, 4, 4).
@@ -110,11 +110,12 @@ class MoverMotion(nn.Module):
         if not plan.loose:
             return following
         count = len(plan.loose)
-        centre = transform(poses[:, :2, plan.loose], middle[:, None, plan.loose].unsqueeze(-2)).squeeze(-2)
+        middle = shapes.middles[:, plan.loose_places]
+        centre = transform(poses[:, :2, plan.loose_places], middle[:, None, :, None]).squeeze(-2)
         motion = self._loose(plan, now, following, moves, centre, contacts, decoded, frame)
         if count > 1:
             motion = self._sweep(plan, centre[:, 0], motion, contacts.push, decoded)
-        moved = _turn_about(now[:, plan.loose], middle[:, plan.loose], centre[:, 0], motion)
+        moved = _turn_about(now[:, plan.loose_places], middle, centre[:, 0], motion)
         parts = list(following.unbind(1))
         for place, pose in zip(plan.loose, moved.unbind(1), strict=True):
             parts[place] = pose
@@ -157,7 +158,7 @@ class MoverMotion(nn.Module):
             frame: rotation (B, 3, 3) of the frame of reference.
         """
         count = len(plan.loose)
-        known = [k for k in (*range(plan.links), *plan.articulated, *plan.attached) if k < plan.partners]
+        known = plan.carriers
         push = contacts.push[:, :count]
         twisted = decoded.learned[:, :count]
         turned = frame.transpose(1, 2)
@@ -167,11 +168,11 @@ class MoverMotion(nn.Module):
         ]
         gone = centre[:, 0] - centre[:, 1]
         fall = gone.new_tensor([0.0, 0.0, self._fall]) * decoded.fall[:, :count]
-        spin = moves[:, plan.loose, 3:]
+        spin = moves[:, plan.loose_places, 3:]
         free = _moving(gone, spin)
         flying = decoded.flying[:, :count] * (1.0 - (1.0 - free) * (1.0 - contacts.unsupported[:, :count]))
         way, turn = learned[0] + flying * (gone + fall), learned[1] + flying * spin
-        if known:
+        if plan.carried:
             carry = decoded.carry[:, :count, known]
             carriers, after = now[:, known], following[:, known]
             relative = after @ inverse(carriers)  # (B, K, 4, 4)
@@ -187,8 +188,8 @@ class MoverMotion(nn.Module):
     def _sweep(plan: Plan, centre: Tensor, motion: Tensor, push: Tensor, decoded: _Decoded) -> Tensor:
         """Twists (B, F, 6) with what loose movers at middles (B, F, 3) do to each other added."""
         count = len(plan.loose)
-        carry = decoded.carry[:, :count, plan.loose]  # (B, F, F)
-        pushed = (decoded.push[:, :count, plan.loose].unsqueeze(-1) * push[:, :count, plan.loose]).sum(2)
+        carry = decoded.carry[:, :count, plan.loose_places]  # (B, F, F)
+        pushed = (decoded.push[:, :count, plan.loose_places].unsqueeze(-1) * push[:, :count, plan.loose_places]).sum(2)
         own = motion + torch.cat([pushed, torch.zeros_like(pushed)], -1)
         offset = centre.unsqueeze(2) - centre.unsqueeze(1)  # (B, F, F, 3)
         motion = own
@@ -208,6 +209,7 @@ class MoverMotion(nn.Module):
         """
         first, tree = len(plan.loose), plan.tree
         positions = tree.positions(poses)  # (B, 3, S)
+        assert contacts.touching is not None
         touching = contacts.touching[:, first:]  # (B, S, P, 3)
         now = poses[:, 0]
         moved = torch.cat([twist(now[:, : plan.links], links_next), moves[:, plan.links :]], 1)

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from pwm_gym.errors import SceneError
 from pwm_gym.robots.joints import JointTree
@@ -13,7 +14,12 @@ from pwm_gym.scene import Layout
 from pwm_gym.scene.joint import JOINT_KINDS
 from pwm_gym.scene.se3 import inverse, matrix_from_pose7
 
-__all__ = ["Plan"]
+__all__ = ["Places", "Plan"]
+
+Places = slice | Tensor
+"""Places along a dimension of a tensor: a slice where they follow each other, which copies nothing."""
+_APART = 1.0  # metres that part a mover from itself, and from what hangs on it
+_UP = ((0.0, 0.0, 1.0, 0.0),)  # row that gives the height of a homogeneous point
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +55,24 @@ class Plan:
     """Inverse poses (S, 4, 4) of the other supports."""
     wall_half: Tensor
     """Half their sides (S, 3)."""
+    places: list[int]
+    """Places in :attr:`order` of what can move, F of them: loose entities, then articulated ones."""
+    movers: Places
+    """The same."""
+    hands: Places
+    """Places of the hands."""
+    loose_places: Places
+    """Those of :attr:`loose`."""
+    carriers: Places
+    """Places of partners whose next poses are known before the loose entities'."""
+    carried: bool
+    """Whether there are any."""
+    fixed_rows: Tensor
+    """Rows (3 S + 1, 4) that take points of the world to the walls' axes, and to their heights."""
+    apart: Tensor
+    """Metres (F, 2 P' + partners, 1) by which movers are parted from :attr:`itself`; P' counts partners and walls."""
+    sorted: bool
+    """Whether the layout has the model's order already."""
 
     @classmethod
     def build(cls, layout: Layout, links: Layout, device: torch.device) -> Plan:
@@ -73,6 +97,10 @@ class Plan:
         walls = [s for s in layout.supports if not s.plane]
         poses = matrix_from_pose7(torch.tensor([s.origin for s in walls], dtype=torch.float32).reshape(-1, 7))
         kinds = [JOINT_KINDS.index(e.joint.kind) for e in sorted_layout.entities[len(links) :]]
+        itself = torch.tensor([[bodies[p] == bodies[m] for p in range(partners)] for m in movers], device=device)
+        carriers = [k for k in (*range(len(links)), *articulated, *attached) if k < partners]
+        inverses = inverse(poses).to(device)
+        from_boxes = nn.functional.pad(_APART * itself, (0, len(walls)))  # no mover is a wall
         return cls(
             layout=layout,
             order=order,
@@ -83,23 +111,46 @@ class Plan:
             kinds=torch.tensor(kinds, dtype=torch.long, device=device),
             partners=partners,
             attached=attached,
-            itself=torch.tensor([[bodies[p] == bodies[m] for p in range(partners)] for m in movers], device=device),
+            itself=itself,
             ridden=len({*bodies}) < len(bodies),
             tree=JointTree(sorted_layout, articulated, attached).to(device),
             floor=layout.floor,
-            walls=inverse(poses).to(device),
+            walls=inverses,
             wall_half=torch.tensor([s.half for s in walls], dtype=torch.float32, device=device).reshape(-1, 3),
+            places=movers,
+            movers=_places(movers, device),
+            hands=_places(links.hands, device),
+            loose_places=_places(loose, device),
+            carriers=_places(carriers, device),
+            carried=bool(carriers),
+            fixed_rows=torch.cat([inverses[:, :3].flatten(0, 1), torch.tensor(_UP, device=device)]),
+            apart=torch.cat([from_boxes, from_boxes, _APART * itself], 1).unsqueeze(-1) if movers else torch.empty(0),
+            sorted=order == sorted(order),
         )
 
     @property
-    def movers(self) -> list[int]:
-        """Places in :attr:`order` of what can move: loose entities, then articulated ones."""
-        return self.loose + self.articulated
+    def touchable(self) -> int:
+        """P': how many partners and walls there are."""
+        return self.partners + len(self.walls)
 
     @property
-    def sorted(self) -> bool:
-        """Whether the layout has the model's order already."""
-        return self.order == self.back and self.order == sorted(self.order)
+    def box_rows(self) -> tuple[int, int, int]:
+        """Rows that are told of a mover's point at one time: in boxes' axes, its height, in the frame of reference."""
+        return 3 * self.touchable, 1, 3
+
+    def with_walls(self, partners: Tensor, walls: Tensor, dim: int) -> Tensor:
+        """What is known of partners (B, ...) with the same of walls, equal in all scenes, behind it along ``dim``."""
+        if not len(walls):
+            return partners
+        return torch.cat([partners, walls.expand(len(partners), *walls.shape)], dim)
+
+
+def _places(places: Sequence[int], device: torch.device) -> Places:
+    """Places as a slice, where they can be one."""
+    start = places[0] if places else 0
+    if list(places) == list(range(start, start + len(places))):
+        return slice(start, start + len(places))
+    return torch.tensor(places, device=device)
 
 
 def _check_robot(layout: Layout, links: Layout) -> None:

@@ -48,14 +48,15 @@ class RobotMotion(nn.Module):
         control: what actions mean.
         width: channels of a token.
         arm_width: channels of the networks of the arms' response.
-        kinematic: whether known chains are used.
+        kinematic: whether known chains are used, of the arms whose tool is what actions translate.
     """
 
     def __init__(self, links: Layout, control: Control, width: int, arm_width: int, kinematic: bool) -> None:
         super().__init__()
         self.response = LinearResponse(links, control.size)
         self.hands, self.count = list(links.hands), len(links)
-        arms = {arm.hand: arm for arm in control.arms if kinematic and arm.chain is not None}
+        steered = [arm for arm in control.arms if control.channel(arm.name, "translation")]  # not joint by joint
+        arms = {arm.hand: arm for arm in steered if kinematic and arm.chain is not None}
         counts = {arm.hand: arm.chain.joints for arm in arms.values() if arm.chain is not None}
         names = [links.names[k] for k in self.hands]
         for arm in control.arms:
@@ -79,7 +80,7 @@ class RobotMotion(nn.Module):
         for head in (*self.heads, self.slide):
             nn.init.zeros_(head.weight)
             nn.init.zeros_(head.bias)
-        commands = [c.slice for c in control.of_kind("translation", "rotation")]
+        commands = [c.slice for c in control.of_kind("translation", "rotation", "joint")]
         self._commands = [k for part in commands for k in range(part.start, part.stop)]
         self._moving = [e.joint.kind for e in links if e.joint.moves]
         self._scales = Scales()
@@ -126,8 +127,8 @@ class RobotMotion(nn.Module):
         """What is known of the step under actions (B, A), for links at poses (B, 3, L, 4, 4)."""
         tree, now = self.response.tree, links[:, 0, self.hands]
         arms: list[ArmForecast | None] = []
-        moved = self.response.hand_twists(links, action) if not all(self.known) else now.new_zeros(*now.shape[:2], 6)
-        hands = list(_moved(now, moved).unbind(1))
+        moved = now if all(self.known) else _moved(now, self.response.hand_twists(links, action))
+        hands = list(moved.unbind(1))
         for k, arm in enumerate(self.arms):
             arms.append(None)
             if isinstance(arm, ArmResponse):
