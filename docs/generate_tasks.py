@@ -11,13 +11,17 @@ from pwm_gym.tasks import Task, get_task
 
 DOCS = Path(__file__).parent
 PAGE = DOCS / "tasks.md"
-_NAMES = ("PickCube", "StackCube", "PickYCB")
+_NAMES = ("PickCube", "StackCube", "PickYCB", "MugCleanup", "Coffee")
 _INTRO = """# Tasks
 
 Written by `python docs/generate_tasks.py`. Spaces, rewards and infos that all tasks share:
 [environments.md](environments.md); figures: [results.md](results.md); a task of your own: [own_task.md](own_task.md).
 """
-_MORE = {"PickYCB": "Where its objects come from, and which are kept out of training: [ycb.md](ycb.md).\n"}
+_MORE = {
+    "PickYCB": "Where its objects come from, and which are kept out of training: [ycb.md](ycb.md).\n",
+    "MugCleanup": "In ManiSkill, too: `import pwm_gym.sim.maniskill.scenes` registers `MugCleanup-v1` there.\n",
+    "Coffee": "In ManiSkill, too: `import pwm_gym.sim.maniskill.scenes` registers `Coffee-v1` there.\n",
+}
 
 
 def page() -> str:

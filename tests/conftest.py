@@ -135,6 +135,22 @@ def bars(only_shapes, tmp_path_factory):
 
 
 @pytest.fixture(scope="session")
+def mug_simulator():
+    """MugCleanup's simulator, made once; each test resets it."""
+    simulator = get_task("MugCleanup").simulator()
+    yield simulator
+    simulator.close()
+
+
+@pytest.fixture(scope="session")
+def coffee_simulator():
+    """Coffee's simulator, made once; each test resets it."""
+    simulator = get_task("Coffee").simulator()
+    yield simulator
+    simulator.close()
+
+
+@pytest.fixture(scope="session")
 def data_config(tmp_path_factory) -> CollectConfig:
     """A data set of 4 demonstrations and 4 practice episodes, and one of each kind in validation and test."""
     return CollectConfig(out=tmp_path_factory.mktemp("data") / "set", episodes=8, held_out=2, workers=1, shard=2)

@@ -1,6 +1,6 @@
 """Point-cloud costs, success rules and grasp rules, by name."""
 
-from pwm_gym.costs import contacts, motion, objects, terms
+from pwm_gym.costs import contacts, drawers, lids, motion, objects, terms
 from pwm_gym.costs.registry import (
     COSTS,
     GRASPS,
@@ -25,9 +25,11 @@ __all__ = [
     "Points",
     "contacts",
     "cost_info",
+    "drawers",
     "get_cost",
     "get_grasp",
     "get_success",
+    "lids",
     "motion",
     "objects",
     "register_cost",

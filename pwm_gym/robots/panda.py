@@ -14,7 +14,16 @@ from pwm_gym.robots.speeds import JointSpeeds
 from pwm_gym.scene import Layout, Support
 from pwm_gym.scene.joint import Joint, Pose7
 
-__all__ = ["JOINT_SPEEDS", "PANDA", "delta_pose_action", "layout", "opening", "robot_cloud", "tool_pose"]
+__all__ = [
+    "JOINT_SPEEDS",
+    "PANDA",
+    "delta_pose_action",
+    "gripper_command",
+    "layout",
+    "opening",
+    "robot_cloud",
+    "tool_pose",
+]
 
 _LINKS = {"hand": "panda_hand", "left_gripper": "panda_leftfinger", "right_gripper": "panda_rightfinger"}
 _FINGER_ORIGIN: Pose7 = (0.0, 0.0, 0.0584, 1.0, 0.0, 0.0, 0.0)  # the URDF's panda_finger_joint1 and 2
@@ -84,6 +93,11 @@ def opening(poses: np.ndarray) -> float:
     return float(np.linalg.norm(poses[1, :3] - poses[2, :3]))
 
 
+def gripper_command(width: float) -> float:
+    """Gripper's part of an action for a distance in metres between the pads: half of it is -0.01 at -1, 0.04 at 1."""
+    return float(np.clip((width / 2 + 0.01) / 0.025 - 1.0, -1.0, 1.0))
+
+
 def delta_pose_action(translation: np.ndarray, rotation: np.ndarray, gripper: float) -> np.ndarray:
     """Action (7,) of ``pd_ee_delta_pose``.
 
@@ -109,11 +123,17 @@ PANDA = Robot(
 )
 
 
-def layout(objects: Mapping[str, int], points: int = 300) -> Layout:
-    """The Panda's links with ``points`` points each, and loose objects (name -> points) on the ground."""
+def layout(objects: Mapping[str, int], points: int = 300, joints: Mapping[str, Joint] | None = None) -> Layout:
+    """The Panda's links with ``points`` points each, and objects (name -> points) on the ground.
+
+    Args:
+        objects: loose where :obj:`joints` does not say otherwise.
+        points: of each link.
+        joints: object -> how it hangs on its parent.
+    """
     return Layout.build(
         [*((link, points) for link in _LINKS), *objects.items()],
         driven=PANDA.driven,
-        joints=PANDA.joints,
+        joints={**PANDA.joints, **(joints or {})},
         supports=[Support.ground()],
     )

@@ -1,19 +1,31 @@
 """What scripted experts share: skills without memory, whose phases are told from poses alone (NumPy)."""
 
+from pwm_gym.skills.brew import Brew
+from pwm_gym.skills.carry import Carry
+from pwm_gym.skills.clean_up import CleanUp
 from pwm_gym.skills.grasp import TopGrasp
-from pwm_gym.skills.motion import drive, side_yaw, tool_pose, yaw_error
+from pwm_gym.skills.motion import downward_turn, drive, servo, side_yaw, tool_pose, yaw_error
 from pwm_gym.skills.object_grasps import Grasp, ObjectGrasps, find_grasps
 from pwm_gym.skills.pick import PickObject
+from pwm_gym.skills.pinch import Pinch
 from pwm_gym.skills.place import Place
+from pwm_gym.skills.push import Push
 
 __all__ = [
+    "Brew",
+    "Carry",
+    "CleanUp",
     "Grasp",
     "ObjectGrasps",
     "PickObject",
+    "Pinch",
     "Place",
+    "Push",
     "TopGrasp",
+    "downward_turn",
     "drive",
     "find_grasps",
+    "servo",
     "side_yaw",
     "tool_pose",
     "yaw_error",

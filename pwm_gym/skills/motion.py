@@ -8,9 +8,10 @@ from scipy.spatial.transform import Rotation
 from pwm_gym.errors import PwmGymError
 from pwm_gym.robots import Robot
 
-__all__ = ["drive", "side_yaw", "tool_pose", "yaw_error"]
+__all__ = ["downward_turn", "drive", "servo", "side_yaw", "tool_pose", "yaw_error"]
 
 _FASTEST_TURN = 0.1  # radians a step
+_GAIN = 1.5  # of the servo: the controller lags and makes a part of what it is asked for
 
 
 def tool_pose(robot: Robot, poses: np.ndarray) -> np.ndarray:
@@ -40,6 +41,45 @@ def drive(robot: Robot, offset: np.ndarray, speed: float, gripper: float, turn: 
     step = offset * min(1.0, speed / max(distance, 1e-9))
     rotation = np.array([0.0, 0.0, np.clip(turn, -_FASTEST_TURN, _FASTEST_TURN)])
     return robot.action(step, rotation, gripper)
+
+
+def servo(
+    robot: Robot, tool: np.ndarray, target: np.ndarray, closing: np.ndarray, speed: float, gripper: float
+) -> np.ndarray:
+    """Action (A,) that moves the tool straight to a place, pointing down, its fingers along a direction.
+
+    Args:
+        robot: that is driven.
+        tool: tool pose (7,).
+        target: place (3,) of the tool, base frame.
+        closing: horizontal direction (3,) along which the fingers shall close, the one way or the other.
+        speed: longest translation asked for in a step, metres.
+        gripper: 1 open, -1 shut.
+    """
+    if robot.action is None:
+        raise PwmGymError(f"robot {robot.name!r} has no action of a tool's motion; scripted skills need one")
+    offset = target - tool[:3]
+    step = offset * min(_GAIN, speed / max(float(np.linalg.norm(offset)), 1e-9))
+    turn = _GAIN * downward_turn(tool, closing)
+    turn *= min(1.0, _FASTEST_TURN / max(float(np.linalg.norm(turn)), 1e-9))
+    return robot.action(step, turn, gripper)
+
+
+def downward_turn(tool: np.ndarray, closing: np.ndarray | None) -> np.ndarray:
+    """Rotation vector (3,) that points the tool down and its fingers along ``closing``, the shorter way round.
+
+    Args:
+        tool: tool pose (7,).
+        closing: direction (3,), whose horizontal part counts; None keeps the fingers' own.
+    """
+    now = Rotation.from_quat(tool[3:], scalar_first=True)
+    y = now.apply([0.0, 1.0, 0.0]) if closing is None else np.array([closing[0], closing[1], 0.0])
+    y = np.array([y[0], y[1], 0.0]) / max(float(np.hypot(y[0], y[1])), 1e-9)
+    if y @ now.apply([0.0, 1.0, 0.0]) < 0:
+        y = -y
+    down = np.array([0.0, 0.0, -1.0])
+    wanted = Rotation.from_matrix(np.stack([np.cross(y, down), y, down], -1))
+    return (wanted * now.inv()).as_rotvec()
 
 
 def side_yaw(pose: np.ndarray) -> float:

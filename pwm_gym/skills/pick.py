@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from pwm_gym.robots import panda
 from pwm_gym.robots.gripper import PANDA
+from pwm_gym.skills.motion import downward_turn
 from pwm_gym.skills.object_grasps import Grasp, ObjectGrasps
 
 __all__ = ["PickObject"]
@@ -83,13 +84,13 @@ class PickObject:
         target = _rotation(body).apply(grasp.position) + body[:3]
         closing = _rotation(body).apply(grasp.closing)
         reach = target - tool[:3]
-        beside, turn = float(np.linalg.norm(reach[:2])), _turn(tool, closing)
+        beside, turn = float(np.linalg.norm(reach[:2])), downward_turn(tool, closing)
         askew = float(np.linalg.norm(turn))
         begun = opening < grasp.opening - 0.004
         if beside < (0.02 if begun else 0.004) and abs(reach[2]) < (0.02 if begun else 0.005) and askew < 0.15:
             missed = opening < grasp.width - 0.012
             return self._move(tool, _UP if missed else np.zeros(3), closing, 1.0 if missed else -1.0)
-        wide = _gripper(grasp.opening)
+        wide = panda.gripper_command(grasp.opening)
         top = float(points[:, 2].max()) + PANDA.finger_tip + _CLEAR
         above = np.array([*reach[:2], top - tool[2]])
         if beside < 0.006 and askew < 0.08 and (above[2] < 0.01 or not begun):
@@ -112,27 +113,10 @@ class PickObject:
         distance = float(np.linalg.norm(offset))
         gain = _GAIN * (_SLOW if gripper < 0 and distance < _NEAR_GOAL else 1.0)
         step = offset * min(gain, self.speed / max(distance, 1e-9))
-        turn = _GAIN * _turn(tool, closing)
+        turn = _GAIN * downward_turn(tool, closing)
         turn *= min(1.0, 0.1 / max(float(np.linalg.norm(turn)), 1e-9))
         return panda.delta_pose_action(step, turn, gripper)
 
 
 def _rotation(pose: np.ndarray) -> Rotation:
     return Rotation.from_quat(pose[3:], scalar_first=True)
-
-
-def _gripper(opening: float) -> float:
-    """Action for a distance between the pads: half of it is -0.01 m at -1 and 0.04 m at 1."""
-    return float(np.clip((opening / 2 + 0.01) / 0.025 - 1.0, -1.0, 1.0))
-
-
-def _turn(tool: np.ndarray, closing: np.ndarray | None) -> np.ndarray:
-    """Rotation vector (3,) that points the tool down and its fingers along ``closing``, the shorter way round."""
-    now = _rotation(tool)
-    y = now.apply([0.0, 1.0, 0.0]) if closing is None else np.array([closing[0], closing[1], 0.0])
-    y = np.array([y[0], y[1], 0.0]) / max(float(np.hypot(y[0], y[1])), 1e-9)
-    if y @ now.apply([0.0, 1.0, 0.0]) < 0:
-        y = -y
-    down = np.array([0.0, 0.0, -1.0])
-    wanted = Rotation.from_matrix(np.stack([np.cross(y, down), y, down], -1))
-    return (wanted * now.inv()).as_rotvec()

@@ -1,6 +1,20 @@
 """One file a task: entities, cost, success rule and the scripted expert."""
 
 from pwm_gym.tasks import pick_cube, pick_ycb, stack_cube
+
+# isort: split
+from pwm_gym.tasks import coffee, mug_cleanup  # after those: the order of registration is that of tables
 from pwm_gym.tasks.registry import TASKS, Expert, Task, get_task, register_task
 
-__all__ = ["TASKS", "Expert", "Task", "get_task", "pick_cube", "pick_ycb", "register_task", "stack_cube"]
+__all__ = [
+    "TASKS",
+    "Expert",
+    "Task",
+    "coffee",
+    "get_task",
+    "mug_cleanup",
+    "pick_cube",
+    "pick_ycb",
+    "register_task",
+    "stack_cube",
+]

@@ -11,6 +11,7 @@ import trimesh
 from pwm_gym.errors import PwmGymError, SceneError, unknown_name
 from pwm_gym.robots.control import Control
 from pwm_gym.scene import Scene
+from pwm_gym.sim.maniskill.articulation import articulated_links, restore_articulations
 from pwm_gym.sim.maniskill.headless import allow_headless
 from pwm_gym.sim.maniskill.meshes import collision_mesh
 from pwm_gym.sim.maniskill.poses import compose, pose7, relative, rotation
@@ -44,8 +45,9 @@ class ManiSkillSimulator:
 
     Args:
         task: ManiSkill id, such as ``"PickCube-v1"``.
-        bodies: entity name -> name of the robot's link or of the scene's actor, or a function that finds it in the
-            unwrapped environment (for actors whose name depends on the episode).
+        bodies: entity name -> name of the robot's link, of the scene's actor or of an articulated object's link
+            (``"cabinet/drawer"``), or a function that finds it in the unwrapped environment (for actors whose name
+            depends on the episode).
         goal: name of the actor whose position is the goal; None if the task has no goal.
         control_mode: the controller that gives actions their meaning.
         control: what the actions are taken to mean; its size and period are checked against ManiSkill's.
@@ -98,11 +100,16 @@ class ManiSkillSimulator:
         self._robot = self._base.agent.robot
         links = {link.name: link for link in self._robot.get_links()}
         actors = self._base.scene.actors
-        known = {**actors, **links}
+        known = {**actors, **articulated_links(self._base.scene, self._robot), **links}
         self._structs = {name: self._find(body, known) for name, body in self._bodies.items()}
         self._structs.update(self._props.actors)
         self._entities = {name: _entity(struct) for name, struct in self._structs.items()}
         self._links = {name for name, body in self._bodies.items() if isinstance(body, str) and body in links}
+        self._articulated = {
+            name: struct._objs[0]
+            for name, struct in self._structs.items()
+            if getattr(struct, "articulation", self._robot) is not self._robot
+        }
         self._goal = None if self._goal_name is None else self._find(self._goal_name, actors)._objs[0]
 
     def _find(self, body: str | Callable[[Any], Any], known: Mapping[str, Any]) -> Any:
@@ -124,7 +131,7 @@ class ManiSkillSimulator:
 
     def meshes(self) -> dict[str, trimesh.Trimesh]:
         """Collision surfaces of this episode's entities, in each entity's own frame (metres)."""
-        return {name: collision_mesh(entity) for name, entity in self._entities.items()}
+        return {name: collision_mesh(entity, united=name not in self._links) for name, entity in self._entities.items()}
 
     def assets(self) -> tuple[str, ...]:
         """Name of each entity's asset in this episode (E,)."""
@@ -153,7 +160,8 @@ class ManiSkillSimulator:
                 any case where the assets or the further bodies differ.
 
         Raises:
-            SceneError: the scene has no joint positions, those of another robot, or entities that the task lacks.
+            SceneError: the scene has no joint positions, those of another robot, entities that the task lacks, or an
+                articulated part beyond its joint's limits.
             UnknownNameError: a further body of an unknown shape.
         """
         joints = self._check_scene(scene)
@@ -166,8 +174,9 @@ class ManiSkillSimulator:
         self._set_robot(joints)
         if self._goal is not None:
             self._set_goal(scene.goal)
+        self._set_articulations(scene)
         for i, name in enumerate(scene.layout.names):
-            if name not in self._links:
+            if name not in self._links and name not in self._articulated:
                 self._set_body(name, scene.poses[0, i], scene.poses[1, i])
         self._base.agent.controller.reset()
 
@@ -194,6 +203,15 @@ class ManiSkillSimulator:
         self._robot.set_qvel(torch.as_tensor(joints[1:] * self._base.control_freq, dtype=torch.float32))
         self._robot.set_joint_drive_targets(positions, self._robot.active_joints)
 
+    def _set_articulations(self, scene: Scene) -> None:
+        """Place articulated objects by the poses of their links, with the velocities that these tell."""
+        names = scene.layout.names
+        now, before = (
+            {name: compose(self._world, scene.poses[k, names.index(name)]) for name in self._articulated}
+            for k in (0, 1)
+        )
+        restore_articulations(self._articulated, now, before, float(self._base.control_freq))
+
     def _set_goal(self, goal: np.ndarray) -> None:
         import sapien
 
@@ -206,12 +224,13 @@ class ManiSkillSimulator:
 
         Raises:
             UnknownNameError: there is no such body.
-            SceneError: it is a link of the robot.
+            SceneError: it is a link of the robot or of an articulated object.
         """
         if name not in self._entities:
             raise unknown_name("entity", name, self._entities)
-        if name in self._links:
-            raise SceneError(f"{name!r} is a link of the robot; only free bodies can be placed")
+        if name in self._links or name in self._articulated:
+            owner = "the robot" if name in self._links else "an articulated object"
+            raise SceneError(f"{name!r} is a link of {owner}; only free bodies can be placed")
         self._set_body(name, pose, pose)
 
     def _set_body(self, name: str, pose: np.ndarray, before: np.ndarray) -> None:

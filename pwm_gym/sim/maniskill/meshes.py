@@ -12,24 +12,32 @@ from pwm_gym.errors import SceneError
 __all__ = ["collision_mesh"]
 
 
-def collision_mesh(entity: Any) -> trimesh.Trimesh:
-    """Union of an entity's collision shapes in its own frame, metres.
+def collision_mesh(entity: Any, united: bool = False) -> trimesh.Trimesh:
+    """Surface of an entity's collision shapes in its own frame, metres.
+
+    Args:
+        entity: SAPIEN's.
+        united: whether of boxes and cylinders that overlap the outer surface alone is left. The robot's links, of which
+            stored clouds exist, keep all faces; so do convex pieces of a mesh, which only touch each other.
 
     Raises:
         SceneError: it has none, or one without a surface (a plane).
     """
     from sapien.physx import PhysxRigidBaseComponent
 
-    parts = []
+    primitives: list[trimesh.Trimesh] = []
+    pieces: list[trimesh.Trimesh] = []
     for component in entity.components:
         if isinstance(component, PhysxRigidBaseComponent):
             for shape in component.collision_shapes:
                 mesh = _shape_mesh(shape)
                 mesh.apply_transform(shape.local_pose.to_transformation_matrix())
-                parts.append(mesh)
-    if not parts:
+                (pieces if hasattr(shape, "vertices") else primitives).append(mesh)
+    if not primitives and not pieces:
         raise SceneError(f"{entity.name!r} has no collision shape to sample points from")
-    return trimesh.util.concatenate(parts)
+    if united and len(primitives) > 1:
+        primitives = [trimesh.boolean.union(primitives, engine="manifold")]
+    return trimesh.util.concatenate([*primitives, *pieces])
 
 
 def _shape_mesh(shape: Any) -> trimesh.Trimesh:

@@ -1,0 +1,183 @@
+"""Shared terms for a drawer in its cabinet, told from the extents of their clouds; used as :mod:`.terms` is.
+
+Cabinet and drawer are each the same to the left and to the right, and stand upright. Metres.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from pwm_gym.costs import contacts
+from pwm_gym.costs.contacts import Points, along, once
+from pwm_gym.costs.terms import Info, Place, Term
+from pwm_gym.sim.cabinet import DRAWER_FROM, DRAWER_TO, HANDLE, PLACE, STROKE, TRAY, TRAY_FLOOR
+
+__all__ = [
+    "CABINET_DRAWER",
+    "Drawer",
+    "handle",
+    "inside",
+    "open_to",
+    "opened",
+    "opening",
+    "put_in",
+    "reach",
+    "shut_to",
+    "spot",
+]
+
+
+@dataclass(frozen=True)
+class Drawer:
+    """Where the parts of a drawer are, from the foremost, lowest and highest of its points."""
+
+    way: float
+    """How far it opens."""
+    ahead: float
+    """Distance from the middle of the cabinet's extent along the way to that of the drawer's, when it is shut."""
+    bar: tuple[float, float]
+    """The middle of its handle's bar: behind the foremost point, and below the highest."""
+    tray: tuple[float, float, float]
+    """Front and back of the tray's inside behind the foremost point, and half its width."""
+    floor: float
+    """Height of the tray's floor over the lowest point."""
+    place: float
+    """Where things are put: behind the foremost point."""
+    name: str = "drawer"
+    cabinet: str = "cabinet"
+
+
+CABINET_DRAWER = Drawer(
+    way=STROKE,
+    ahead=0.5 * (DRAWER_FROM[0] + DRAWER_TO[0]),
+    bar=(DRAWER_TO[0] - HANDLE[0], DRAWER_TO[2] - HANDLE[2]),
+    tray=(DRAWER_TO[0] - TRAY[1][0], DRAWER_TO[0] - TRAY[0][0], TRAY[1][1]),
+    floor=TRAY_FLOOR - DRAWER_FROM[2],
+    place=DRAWER_TO[0] - PLACE[0],
+)
+"""Of :mod:`pwm_gym.sim.cabinet`."""
+
+
+@once
+def _front(points: Points, drawer: Drawer) -> Tensor:
+    """Unit vector (B, 3, 1) in which it opens."""
+    way = contacts.centre(points, drawer.name) - contacts.centre(points, drawer.cabinet)
+    level = torch.cat([way[..., :2], torch.zeros_like(way[..., 2:])], -1)
+    return (level / level.norm(dim=-1, keepdim=True).clamp_min(1e-6)).unsqueeze(-1)
+
+
+@once
+def _side(points: Points, drawer: Drawer) -> Tensor:
+    """Horizontal unit vector (B, 3, 1) across it."""
+    x, y, z = _front(points, drawer).unbind(-2)
+    return torch.stack([-y, x, z], -2)
+
+
+def _extent(points: Points, name: str, axis: Tensor) -> tuple[Tensor, Tensor]:
+    """Least and greatest coordinate (B,) of an entity along an axis (B, 3, 1)."""
+    places = along(points[name], axis)
+    return places.amin(-1), places.amax(-1)
+
+
+@once
+def opening(points: Points, drawer: Drawer) -> Tensor:
+    """How far (B,) it is open."""
+    axis = _front(points, drawer)
+    back, front = _extent(points, drawer.name, axis)
+    wall, edge = _extent(points, drawer.cabinet, axis)
+    return 0.5 * (back + front - wall - edge) - drawer.ahead
+
+
+@once
+def _point(points: Points, drawer: Drawer, behind: float) -> Tensor:
+    """Place (B, 3) at height 0, amid its width, ``behind`` its foremost point."""
+    front, side = _front(points, drawer), _side(points, drawer)
+    foremost = _extent(points, drawer.name, front)[1]
+    left, right = _extent(points, drawer.name, side)
+    return (front * (foremost - behind)[..., None, None] + side * (0.5 * (left + right))[..., None, None]).squeeze(-1)
+
+
+def handle(drawer: Drawer) -> Place:
+    """Middle of the handle's bar."""
+
+    def place(points: Points, info: Info) -> Tensor:
+        flat = _point(points, drawer, drawer.bar[0])
+        return torch.cat([flat[..., :2], points[drawer.name][..., 2:].amax(-2) - drawer.bar[1]], -1)
+
+    return place
+
+
+def spot(drawer: Drawer, name: str) -> Place:
+    """Where an object's centre is when it stands in its place in the drawer."""
+
+    def place(points: Points, info: Info) -> Tensor:
+        flat = _point(points, drawer, drawer.place)
+        height = contacts.centre(points, name)[..., 2] - points[name][..., 2].amin(-1)
+        floor = points[drawer.name][..., 2].amin(-1) + drawer.floor
+        return torch.cat([flat[..., :2], (floor + height).unsqueeze(-1)], -1)
+
+    return place
+
+
+# Rules ------------------------------------------------------------------------------------------------------------
+
+
+def open_to(drawer: Drawer, least: float) -> Term:
+    """Bool (B,): it is open by ``least`` metres or more."""
+    return lambda points, info: opening(points, drawer) >= least
+
+
+def shut_to(drawer: Drawer, most: float) -> Term:
+    """Bool (B,): it is open by ``most`` metres at most."""
+    return lambda points, info: opening(points, drawer) <= most
+
+
+def inside(drawer: Drawer, name: str, edge: float, height: float) -> Term:
+    """Bool (B,): an object is in its tray.
+
+    Args:
+        drawer: that it is in.
+        name: the object.
+        edge: metres from the tray's walls to the object's centre, at the least.
+        height: metres from the tray's floor to the object's lowest point, at the most.
+    """
+    front, back, half_width = drawer.tray
+
+    def term(points: Points, info: Info) -> Tensor:
+        axes = torch.cat([_front(points, drawer), _side(points, drawer)], -1)  # (B, 3, 2)
+        offset = contacts.centre(points, name) - _point(points, drawer, 0.0)
+        before, aside = (offset.unsqueeze(-2) @ axes).squeeze(-2).unbind(-1)
+        within = (-before >= front + edge) & (-before <= back - edge) & (aside.abs() <= half_width - edge)
+        floor = points[drawer.name][..., 2].amin(-1) + drawer.floor
+        return within & (points[name][..., 2].amin(-1) - floor <= height)
+
+    return term
+
+
+# A simulator's shaped rewards -------------------------------------------------------------------------------------
+
+
+def opened(drawer: Drawer) -> Term:
+    """Share of its way by which it is open."""
+    return lambda points, info: (opening(points, drawer) / drawer.way).clamp(0.0, 1.0)
+
+
+def reach(target: Place) -> Term:
+    """Nearness of the tool to a place."""
+    return _nearness(lambda points, info: contacts.tool_centre(points), target)
+
+
+def put_in(drawer: Drawer, name: str) -> Term:
+    """Nearness of an object to its place in the drawer."""
+    return _nearness(lambda points, info: contacts.centre(points, name), spot(drawer, name))
+
+
+def _nearness(place: Callable[[Points, Info], Tensor], target: Place) -> Term:
+    def term(points: Points, info: Info) -> Tensor:
+        return 1.0 - torch.tanh(5.0 * (place(points, info) - target(points, info)).norm(dim=-1))
+
+    return term

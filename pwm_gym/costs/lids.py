@@ -1,0 +1,123 @@
+"""Shared terms for a machine with a hinged lid, told from the extents of their clouds; used as :mod:`.terms` is.
+
+The machine and the lid are each the same to the left and to the right, and stand upright. Metres, radians.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from pwm_gym.costs import contacts
+from pwm_gym.costs.contacts import Points, along, once
+from pwm_gym.costs.terms import Info, Place, Term
+from pwm_gym.sim.coffee_machine import (
+    HOLDER_FLOOR,
+    LID_JOINT,
+    LID_LENGTH,
+    MACHINE_TO,
+    OPEN_ANGLE,
+    POD_HEIGHT,
+    RIM,
+    TOWER_TOP,
+)
+
+__all__ = ["COFFEE_LID", "Lid", "angle", "holder", "placed", "seated", "shut", "shut_to"]
+
+
+@dataclass(frozen=True)
+class Lid:
+    """Where the parts of a machine are, from its foremost and lowest points. All that is high stands at its back."""
+
+    widest: float
+    """Angle at which it is open."""
+    length: float
+    """From the hinge to the lid's end."""
+    hinge: tuple[float, float]
+    """Of the hinge: behind the foremost point, and over the lowest."""
+    holder: tuple[float, float]
+    """The same of the middle of what stands in the holder."""
+    back: float
+    """Height from which all that there is stands at the back."""
+    name: str = "lid"
+    machine: str = "machine"
+
+
+COFFEE_LID = Lid(
+    widest=OPEN_ANGLE,
+    length=LID_LENGTH,
+    hinge=(MACHINE_TO - LID_JOINT.origin[0], LID_JOINT.origin[2]),
+    holder=(MACHINE_TO, HOLDER_FLOOR + 0.5 * POD_HEIGHT),
+    back=0.5 * (TOWER_TOP + RIM + 0.0125),
+)
+"""Of :mod:`pwm_gym.sim.coffee_machine`."""
+
+
+@once
+def _front(points: Points, lid: Lid) -> Tensor:
+    """Horizontal unit vector (B, 3, 1) from the machine's back to its front."""
+    cloud = points[lid.machine]
+    low = cloud[..., 2].amin(-1, keepdim=True)
+    high = (cloud[..., 2] >= low + lid.back).to(cloud.dtype).unsqueeze(-1)  # (B, n, 1)
+    tower = (cloud * high).sum(-2) / high.sum(-2).clamp_min(1.0)
+    way = (contacts.centre(points, lid.machine) - tower)[..., :2]
+    level = torch.cat([way, torch.zeros_like(way[..., :1])], -1)
+    return (level / level.norm(dim=-1, keepdim=True).clamp_min(1e-6)).unsqueeze(-1)
+
+
+def _point(points: Points, lid: Lid, behind: float, height: float) -> Tensor:
+    """Place (B, 3) amid the machine's width, ``behind`` its foremost point and ``height`` over its lowest."""
+    front = _front(points, lid)
+    x, y, z = front.unbind(-2)
+    side = torch.stack([-y, x, z], -2)
+    ahead, beside = along(points[lid.machine], front), along(points[lid.machine], side)
+    middle = 0.5 * (beside.amin(-1) + beside.amax(-1))
+    flat = front.squeeze(-1) * (ahead.amax(-1) - behind).unsqueeze(-1) + side.squeeze(-1) * middle.unsqueeze(-1)
+    level = points[lid.machine][..., 2].amin(-1) + height
+    return torch.cat([flat[..., :2], level.unsqueeze(-1)], -1)
+
+
+@once
+def angle(points: Points, lid: Lid) -> Tensor:
+    """Angle (B,) of the lid; 0 is shut."""
+    arm = contacts.centre(points, lid.name) - _point(points, lid, *lid.hinge)
+    ahead = along(arm.unsqueeze(-2), _front(points, lid)).squeeze(-1)
+    return torch.atan2(arm[..., 2], ahead)
+
+
+def holder(lid: Lid) -> Place:
+    """Where the middle of what stands in the holder is."""
+    return lambda points, info: _point(points, lid, *lid.holder)
+
+
+def seated(lid: Lid, name: str, beside: float, above: float) -> Term:
+    """Bool (B,): an object is in the holder, ``beside`` metres off its axis and ``above`` its floor at the most."""
+    place = holder(lid)
+
+    def term(points: Points, info: Info) -> Tensor:
+        offset = contacts.middle(points, name) - place(points, info)
+        return (offset[..., :2].norm(dim=-1) <= beside) & (offset[..., 2] <= above)
+
+    return term
+
+
+def shut_to(lid: Lid, most: float) -> Term:
+    """Bool (B,): it is open by ``most`` radians at most."""
+    return lambda points, info: angle(points, lid) <= most
+
+
+def placed(lid: Lid, name: str) -> Term:
+    """Nearness of an object to its place in the holder."""
+    place = holder(lid)
+
+    def term(points: Points, info: Info) -> Tensor:
+        return 1.0 - torch.tanh(5.0 * (contacts.middle(points, name) - place(points, info)).norm(dim=-1))
+
+    return term
+
+
+def shut(lid: Lid) -> Term:
+    """Share of its widest angle by which it is shut."""
+    return lambda points, info: 1.0 - (angle(points, lid) / lid.widest).clamp(0.0, 1.0)

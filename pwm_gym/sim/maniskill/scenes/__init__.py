@@ -1,0 +1,16 @@
+"""ManiSkill tasks of our own. Importing this package loads ManiSkill and registers them there.
+
+Example:
+    >>> import gymnasium as gym
+    >>> import pwm_gym.sim.maniskill.scenes
+    >>> env = gym.make("MugCleanup-v1", obs_mode="state", render_backend="none")
+"""
+
+from pwm_gym.sim.maniskill.headless import allow_headless
+
+allow_headless()  # before ManiSkill's modules hold the classes that it may have to replace
+
+from pwm_gym.sim.maniskill.scenes.coffee import CoffeeEnv  # noqa: E402
+from pwm_gym.sim.maniskill.scenes.mug_cleanup import MugChoice, MugCleanupEnv  # noqa: E402
+
+__all__ = ["CoffeeEnv", "MugChoice", "MugCleanupEnv"]

@@ -1,0 +1,100 @@
+import gymnasium as gym
+import numpy as np
+import pytest
+import torch
+from gymnasium.utils.env_checker import check_env
+
+from pwm_gym.costs import cost_info, get_cost, get_grasp, get_success, lids
+from pwm_gym.robots.joints import JointTree
+from pwm_gym.scene import Scene, batch_state, sample_clouds
+from pwm_gym.seeds import seed_range
+from pwm_gym.sim.coffee_machine import OPEN_ANGLE
+from pwm_gym.tasks import get_task
+
+TASK = get_task("Coffee")
+LIMIT = TASK.max_episode_steps
+LID = TASK.layout.index("lid")
+
+
+def run(simulator, seed):
+    """Expert's steps until the simulator calls it a success; one more than the limit if it never does."""
+    simulator.reset(seed)
+    expert = TASK.expert(np.random.default_rng(seed))
+    for step in range(1, LIMIT + 1):
+        if simulator.step(expert.act(simulator.poses(), simulator.goal())).success:
+            return step
+    return LIMIT + 1
+
+
+@pytest.fixture(scope="module")
+def episode(coffee_simulator):
+    """An expert's episode until 5 steps past success: scenes, what costs read of them, and outcomes."""
+    simulator, seed = coffee_simulator, seed_range("test", 1)[0]
+    simulator.reset(seed)
+    expert = TASK.expert(np.random.default_rng(seed))
+    clouds = sample_clouds(simulator.meshes(), TASK.layout, TASK.cloud_seed)
+    poses, scenes, actions, outcomes = [simulator.poses()] * 3, [], [], []
+    while sum(o.success for o in outcomes) < 5 and len(outcomes) < LIMIT:
+        actions.append(expert.act(simulator.poses(), simulator.goal()))
+        outcomes.append(simulator.step(actions[-1]))
+        poses.insert(0, simulator.poses())
+        last = np.stack(poses[:3])
+        scenes.append(Scene(TASK.name, TASK.layout, clouds, last, simulator.goal(), simulator.joints()))
+    goals = torch.zeros(len(scenes), 0)
+    view = cost_info(batch_state(scenes), torch.as_tensor(np.array(actions)), goals, get_grasp(TASK.grasp))
+    return scenes, view, outcomes
+
+
+def test_the_experts_episode_shuts_the_lid(episode):
+    scenes, _, outcomes = episode
+    assert outcomes[-1].success and 90 < len(outcomes) < LIMIT
+    angles = JointTree(TASK.layout, [LID]).positions(batch_state(scenes).poses())[:, 0]
+    assert angles[0] == pytest.approx(OPEN_ANGLE, abs=1e-3) and angles[-1].abs() < 0.09
+    assert angles.min() > -0.02 and angles.max() < OPEN_ANGLE + 0.02
+
+
+def test_the_expert_succeeds_in_another_scene(coffee_simulator):
+    assert 90 < run(coffee_simulator, seed_range("validation", 1)[0]) <= LIMIT
+
+
+@pytest.mark.slow
+def test_the_expert_succeeds_in_nearly_every_of_50_episodes(coffee_simulator):
+    steps = np.array([run(coffee_simulator, seed) for seed in seed_range("test", 50)])
+    assert (steps <= LIMIT).mean() >= 0.9, steps
+
+
+def test_the_cost_is_minus_the_simulators_reward_and_the_rules_are_its_own(episode):
+    _, view, outcomes = episode
+    rewards = np.array([o.reward for o in outcomes])
+    found = -get_cost(TASK.cost)(*view).numpy()
+    assert np.corrcoef(found, rewards)[0, 1] > 0.99 and np.abs(found - rewards).mean() < 0.01
+    for rule, key in ((get_success(TASK.success), "success"), (get_grasp(TASK.grasp), "grasped")):
+        truth = np.array([getattr(o, key) for o in outcomes])
+        assert truth.any() and (rule(*view).numpy() == truth).mean() > 0.97, key
+
+
+def test_clouds_tell_the_lids_angle(episode):
+    scenes, (points, _), _ = episode
+    truth = JointTree(TASK.layout, [LID]).positions(batch_state(scenes).poses())[:, 0]
+    torch.testing.assert_close(lids.angle(points, lids.COFFEE_LID), truth, atol=np.radians(3.0), rtol=0)
+
+
+def test_the_planning_cost_falls_along_a_demonstration_and_has_gradients(episode):
+    _, (points, info), _ = episode
+    leaves = {name: points[name].clone().requires_grad_() for name in points}
+    cost = get_cost(TASK.plan_cost)(leaves, info)
+    cost.sum().backward()
+    assert all(leaves[name].grad.isfinite().all() and leaves[name].grad.any() for name in ("lid", "pod", "hand"))
+    assert cost[-1] < cost[-20] < cost[0]
+
+
+def test_the_twin_is_an_environment():
+    env = gym.make("pwm/CoffeeSim-v0").unwrapped
+    check_env(env, skip_render_check=True)
+    first, _ = env.reset(seed=4)
+    assert first["points"].shape == (4096, 3)
+    scene = env.scene()
+    env.reset(seed=5)
+    again, _ = env.reset(options={"scene": scene})
+    np.testing.assert_allclose(again["points"], first["points"], atol=1e-4)
+    env.close()

@@ -1,0 +1,144 @@
+from itertools import pairwise
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import torch
+from gymnasium.utils.env_checker import check_env
+
+from pwm_gym.costs import cost_info, drawers, get_cost, get_grasp, get_success
+from pwm_gym.errors import PwmGymError, UnknownNameError
+from pwm_gym.scene import Scene, batch_state, sample_clouds
+from pwm_gym.seeds import seed_range
+from pwm_gym.sim.cabinet import STROKE
+from pwm_gym.sim.mugs import MUGS, get_mug
+from pwm_gym.tasks import get_task
+
+TASK = get_task("MugCleanup")
+LIMIT = TASK.max_episode_steps
+DRAWER = TASK.layout.index("drawer")
+
+
+def run(simulator, seed):
+    """Expert's steps until the simulator calls it a success; one more than the limit if it never does."""
+    simulator.reset(seed)
+    expert, assets = TASK.expert(np.random.default_rng(seed)), simulator.assets()
+    for step in range(1, LIMIT + 1):
+        if simulator.step(expert.act(simulator.poses(), simulator.goal(), assets)).success:
+            return step
+    return LIMIT + 1
+
+
+@pytest.fixture(scope="module")
+def episode(mug_simulator):
+    """An expert's episode until 5 steps past success: scenes, what costs read of them, and outcomes."""
+    simulator, seed = mug_simulator, seed_range("test", 1)[0]
+    simulator.reset(seed)
+    expert, assets = TASK.expert(np.random.default_rng(seed)), simulator.assets()
+    clouds = sample_clouds(simulator.meshes(), TASK.layout, TASK.cloud_seed)
+    poses, scenes, actions, outcomes = [simulator.poses()] * 3, [], [], []
+    while sum(o.success for o in outcomes) < 5 and len(outcomes) < LIMIT:
+        actions.append(expert.act(simulator.poses(), simulator.goal(), assets))
+        outcomes.append(simulator.step(actions[-1]))
+        poses.insert(0, simulator.poses())
+        last = np.stack(poses[:3])
+        scenes.append(Scene(TASK.name, TASK.layout, clouds, last, simulator.goal(), simulator.joints(), assets=assets))
+    goals = torch.zeros(len(scenes), 0)
+    view = cost_info(batch_state(scenes), torch.as_tensor(np.array(actions)), goals, get_grasp(TASK.grasp))
+    return scenes, view, outcomes
+
+
+def true_openings(scenes):
+    """Way (T,) of the drawer, as poses tell."""
+    poses = np.stack([scene.poses[0] for scene in scenes])
+    return np.linalg.norm((poses[:, DRAWER] - poses[:, TASK.layout.index("cabinet")])[:, :2], axis=-1)
+
+
+def test_the_experts_episode_opens_the_drawer_and_shuts_it(episode):
+    scenes, _, outcomes = episode
+    assert outcomes[-1].success and 180 < len(outcomes) < 360
+    way = true_openings(scenes)
+    assert way.max() > 0.14 and way[-1] < 0.008 and way.min() > -1e-3 and way.max() < STROKE + 1e-3
+
+
+def test_the_expert_succeeds_with_another_mug(mug_simulator):
+    assert 180 < run(mug_simulator, seed_range("validation", 1)[0]) <= LIMIT
+
+
+@pytest.mark.slow
+def test_the_expert_succeeds_in_nearly_every_of_50_episodes(mug_simulator):
+    steps = np.array([run(mug_simulator, seed) for seed in seed_range("test", 50)])
+    assert (steps <= LIMIT).mean() >= 0.95, steps
+
+
+def test_the_expert_goes_on_from_a_restored_scene(mug_simulator, episode):
+    scenes, _, outcomes = episode
+    inside = next(t for t in range(len(scenes)) if outcomes[t].reward > 5 / 8 and not outcomes[t].grasped)
+    mug_simulator.restore(scenes[inside + 10])
+    expert = TASK.expert(np.random.default_rng(0))
+    steps = (
+        mug_simulator.step(expert.act(mug_simulator.poses(), mug_simulator.goal(), mug_simulator.assets()))
+        for _ in range(120)
+    )
+    assert any(outcome.success for outcome in steps)
+
+
+def test_the_cost_is_minus_the_simulators_reward_and_success_is_its_own(episode):
+    _, view, outcomes = episode
+    rewards = np.array([o.reward for o in outcomes])
+    found = -get_cost(TASK.cost)(*view).numpy()
+    assert np.corrcoef(found, rewards)[0, 1] > 0.99 and np.abs(found - rewards).mean() < 0.01
+    success = np.array([o.success for o in outcomes])
+    assert success.any() and (get_success(TASK.success)(*view).numpy() == success).mean() > 0.99
+
+
+def test_the_contact_rule_tells_the_simulators_grasps(episode):
+    _, view, outcomes = episode
+    grasped = np.array([o.grasped for o in outcomes])
+    assert grasped.any() and (get_grasp(TASK.grasp)(*view).numpy() == grasped).mean() > 0.97
+
+
+@pytest.mark.parametrize("points", [8192, 2048])
+def test_clouds_tell_how_far_the_drawer_is_open(episode, points):
+    scenes, _, _ = episode
+    some = [scene.coarsen(TASK.layout.resize(points)) for scene in scenes[::20]]
+    view, _ = cost_info(batch_state(some), torch.zeros(len(some), 7), torch.zeros(len(some), 0), get_grasp(TASK.grasp))
+    found = drawers.opening(view, drawers.CABINET_DRAWER).numpy()
+    np.testing.assert_allclose(found, true_openings(some), atol=2e-3)
+
+
+def test_the_planning_cost_falls_along_a_demonstration_and_has_gradients(episode):
+    _, (points, info), _ = episode
+    leaves = {name: points[name].clone().requires_grad_() for name in points}
+    cost = get_cost(TASK.plan_cost)(leaves, info)
+    cost.sum().backward()
+    assert all(leaves[name].grad.isfinite().all() and leaves[name].grad.any() for name in ("drawer", "mug", "hand"))
+    quarters = cost.detach().split(len(cost) // 4)
+    assert all(later.mean() < earlier.mean() for earlier, later in pairwise(quarters[:4]))
+
+
+def test_the_twin_is_an_environment():
+    env = gym.make("pwm/MugCleanupSim-v0").unwrapped
+    check_env(env, skip_render_check=True)
+    first, _ = env.reset(seed=4)
+    assert first["points"].shape == (8192, 3) and first["goal"].shape == (0,)
+    scene = env.scene()
+    env.reset(seed=5)
+    again, _ = env.reset(options={"scene": scene})
+    np.testing.assert_allclose(again["points"], first["points"], atol=1e-4)
+    assert env.scene().assets == scene.assets
+    env.close()
+
+
+def test_the_papers_point_count_and_the_layouts_joints():
+    assert TASK.layout.points == 8192
+    assert TASK.objects == ("drawer", "mug")
+    assert [TASK.layout[name].joint.kind for name in ("cabinet", "drawer", "mug")] == ["fixed", "prismatic", "free"]
+
+
+def test_mugs_are_known_by_name():
+    assert len(MUGS) == 9 and get_mug("mug_35x66").radius == 0.035
+    with pytest.raises(UnknownNameError, match="unknown mug 'mug_35x65'.*Did you mean 'mug_35x6"):
+        get_mug("mug_35x65")
+    with pytest.raises(PwmGymError, match="was given no assets"):
+        TASK.expert(np.random.default_rng(0)).act(np.zeros((6, 7)), np.zeros(0))
