@@ -593,3 +593,36 @@ def test_a_block_asked_for_some_tokens_gives_the_same():
     torch.manual_seed(0)
     block, tokens = Block(32, 4, 2), torch.randn(5, 6, 32)
     torch.testing.assert_close(block(tokens, read=4), block(tokens)[:, :4])
+
+
+@torch.no_grad()
+def test_half_of_a_movers_points_are_those_nearest_to_what_may_touch_it(worlds):
+    world = replace(worlds["cube"], points=64)
+    model = world.model(points=8, searched=64)
+    state = model.prepare(world.state(2))
+    plan, poses = model.plan(state.layout), state.frames
+    shapes = model._shapes(state, plan, poses, poses[:, 0, : plan.links])
+    mover = state.layout.entities[plan.places[0]]
+    cloud = state.clouds[:, mover.slice]
+    read = shapes.points[:, plan.places[0], :3].transpose(-1, -2)  # (B, 8, 3)
+    torch.testing.assert_close(read[:, :4], cloud[:, :4])
+    gaps = _gaps_to_links(state, plan, cloud, shapes)  # (B, 64)
+    nearest = gaps.topk(4, largest=False).values
+    torch.testing.assert_close(_gaps_to_links(state, plan, read[:, 4:], shapes).sort().values, nearest)
+    assert (shapes.low[:, plan.places[0]] == cloud.amin(1)).all()  # the box is of all that is searched
+    few = world.model(points=8, searched=0)
+    torch.testing.assert_close(few._shapes(state, plan, poses, poses[:, 0]).points[:, -1, :3], cloud[:, :8].mT)
+
+
+def _gaps_to_links(state, plan, points, shapes):
+    """Largest excess over the nearest link's box (B, n) of a mover's canonical points (B, n, 3), one step ahead."""
+    mover = plan.places[0]
+    ahead = 2 * state.frames[:, 0, mover] - state.frames[:, 1, mover]
+    world = points @ ahead[:, :3, :3].mT + ahead[:, None, :3, 3]
+    found = []
+    for k in range(plan.links):
+        link = state.frames[:, 0, k]
+        local = (world - link[:, None, :3, 3]) @ link[:, :3, :3]
+        low, high = shapes.low[:, k, None], shapes.high[:, k, None]
+        found.append(torch.maximum(low - local, local - high).amax(-1))
+    return torch.stack(found).amin(0)

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from pwm_gym.dynamics import load_checkpoint
-from pwm_gym.errors import DatasetError
+from pwm_gym.errors import DatasetError, PwmGymError, UnknownNameError
 from pwm_gym.robots import Robot
 from pwm_gym.robots.panda import PANDA
 from pwm_gym.scene import batch_state
@@ -158,3 +158,20 @@ def test_no_data_is_a_clear_error(folders, tmp_path):
         load_sources([], "train")
     with pytest.raises(DatasetError, match="has no episodes of split 'test' yet"):
         load_sources([folders["Cube"]], "test")
+
+
+def test_training_goes_on_from_a_checkpoint(folders, tmp_path):
+    first = fit(config(tmp_path / "first", folders["Cube"]), QUICK, count, progress=False)
+    still = replace(QUICK, phases=((1, 1, 4),), learning_rate=0.0, weight_decay=0.0, ema_decay=0.0)
+    begun = config(tmp_path / "second", folders["Drawer"], init=str(first), settings={}, error_steps=1)
+    second = load_checkpoint(fit(begun, still, count, progress=False))
+    old, new = load_checkpoint(first).model.state_dict(), second.model.state_dict()
+    kept = [name for name in old if not name.startswith("error.")]
+    assert all(torch.equal(old[name], new[name]) for name in kept)  # the fitted responses, too
+    assert second.tasks == ("Drawer",) and second.description["training"]["init"] == str(first)
+    further = fit(replace(begun, out=tmp_path / "third"), QUICK, count, progress=False)
+    assert not torch.equal(load_checkpoint(further).model.state_dict()["movers.head.weight"], old["movers.head.weight"])
+    with pytest.raises(PwmGymError, match="beside init"):
+        fit(replace(begun, settings={"width": 8}, out=tmp_path / "fourth"), QUICK, count, progress=False)
+    with pytest.raises(UnknownNameError, match="checkpoint 'nothing'"):
+        fit(replace(begun, init="nothing", out=tmp_path / "fifth"), QUICK, count, progress=False)
