@@ -58,13 +58,16 @@ The shipped checkpoint, `panda`, is one model of all three tasks. It was trained
 pwm-gym collect --task PickCube --episodes 900 --held-out 60 --practice 0.6
 pwm-gym collect --task StackCube --episodes 900 --held-out 60 --practice 0.6
 pwm-gym collect --task PickYCB --objects seen --episodes 800 --held-out 60 --practice 0.6
-pwm-gym collect --task PickYCB --objects unseen --episodes 20 --held-out 80 --practice 0.4 --out data-sets/PickYCB-unseen
+pwm-gym collect --task PickYCB --objects unseen --episodes 20 --held-out 80 --practice 0.4 \\
+    --out data-sets/PickYCB-unseen
 torchrun --nproc-per-node 2 -m pwm_gym train --data data-sets/PickCube data-sets/StackCube --out runs/two \\
     --threads 1 --phases 1 2200 384 5 900 192 15 650 128
 torchrun --nproc-per-node 2 -m pwm_gym train --data data-sets/PickCube data-sets/StackCube data-sets/PickYCB \\
-    --init runs/two/checkpoint --out runs/three --threads 1 --learning-rate 0.002 --phases 1 1200 384 5 800 192 15 800 128
+    --init runs/two/checkpoint --out runs/three --threads 1 --learning-rate 0.002 \\
+    --phases 1 1200 384 5 800 192 15 800 128
 torchrun --nproc-per-node 2 -m pwm_gym train --data data-sets/PickCube data-sets/StackCube data-sets/PickYCB \\
-    --init runs/three/checkpoint --out runs/panda --threads 1 --learning-rate 0.002 --phases 1 1500 384 5 600 192 15 600 128
+    --init runs/three/checkpoint --out runs/panda --threads 1 --learning-rate 0.002 \\
+    --phases 1 1500 384 5 600 192 15 600 128
 ```
 """
 _EARLIER = """# Figures of version 0.1
