@@ -127,7 +127,7 @@ def fit(config: FitConfig, training: TrainConfig, validate: Validate, progress: 
     metrics = train(model, Reframed(windows), training, out, measure, save, progress, clock)
     if is_main_process() and isinstance(model, LearnsError) and model.error is not None:
         fit_error(model, sources, config.error_steps)
-        save(model, metrics or measure(model))  # a resumed run may have had nothing left to train
+        save(cast("nn.Module", model), metrics or measure(model))  # a resumed run may have had nothing left to train
     return checkpoint
 
 
