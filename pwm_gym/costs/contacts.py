@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 __all__ = [
+    "MOST_SUNK",
     "PAD_END",
     "PAD_HALF_WIDTH",
     "along",
@@ -28,7 +29,6 @@ __all__ = [
     "outside_fingers",
     "pad_gaps",
     "pinched",
-    "spare_opening",
     "stopped",
     "tool_centre",
     "tool_distance",
@@ -42,6 +42,9 @@ T = TypeVar("T")
 PAD_HALF_WIDTH, PAD_END = 0.014, 0.012
 """Metres that the fingers' pads reach to either side of the tool centre, and beyond it."""
 
+MOST_SUNK = 0.015
+"""Metres by which both pads together may sink into what is between them."""
+
 _TOOL_RATIO = 0.355  # (tool - fingers) / (fingers - hand) along the Panda hand's axis, of its collision meshes
 _CLOSE = 0.025  # the paper's grasp distance
 # Metres. ManiSkill's pads sink 0.3 mm (half shut) to 2.8 mm into an object that they hold, and 8 mm into the width of a
@@ -49,7 +52,6 @@ _CLOSE = 0.025  # the paper's grasp distance
 _DEEPEST, _LOOSEST, _PRESSED = -0.008, 0.001, -0.0005
 _HELD = 0.036  # how far from an object's centre its corner can be held
 _SPARSE, _STOPPED = 0.005, 0.0005  # metres, and metres a step: of a grasp on an object whose points lie far apart
-_LEAST_OPENING, _WIDEST = 0.25, 0.1  # of a held object's width, in 2,099 steps with a grasp; and metres: any object's
 _HALF_SHUT = 0.2  # a gripper commanded below this shuts on an object of 4 cm
 _SUNK = 0.010  # metres by which a pad may overlap the object's extent and still count as pressing on it
 _BETWEEN = 0.013  # metres from tool to centre within which the object is between the finger tips
@@ -175,17 +177,8 @@ def stopped(points: Points, velocity: Points, action: Tensor, name: str) -> Tens
     gaps = pad_gaps(points, name)
     pressing = (gaps <= _LOOSEST).all(-1)
     stopping = (gaps <= _SPARSE).all(-1) & (closing(points, velocity).abs() <= _STOPPED)
-    return (pressing | stopping) & (spare_opening(points, name) >= 0.0) & (action[..., -1] < _HALF_SHUT)
-
-
-def spare_opening(points: Points, name: str) -> Tensor:
-    """Distance (B,) between the pads beyond the least at which they can hold what the cloud has between them, metres.
-
-    Pads sink into what they hold, but not through it: below zero they are shut beside the object, or in front of it.
-    """
-    apart = opening(points)
-    width = apart - pad_gaps(points, name).sum(-1)
-    return apart - _LEAST_OPENING * width.clamp_max(_WIDEST)
+    fits = gaps.sum(-1) >= -MOST_SUNK  # else they are shut beside the object, or in front of it
+    return (pressing | stopping) & fits & (action[..., -1] < _HALF_SHUT)
 
 
 def closing(points: Points, velocity: Points) -> Tensor:

@@ -113,7 +113,7 @@ def _touching(points: Points, name: str) -> Tensor:
     """Soft bool (B,): both pads touch what is between them, and are not shut beside it."""
     gaps = contacts.pad_gaps(points, name)
     touching = torch.sigmoid((_TOUCHING - gaps.amax(-1)) / 0.001)
-    return touching * torch.sigmoid(contacts.spare_opening(points, name) / 0.001)
+    return touching * torch.sigmoid((gaps.sum(-1) + contacts.MOST_SUNK) / 0.001)
 
 
 def _firmness(points: Points, info: Info, name: str) -> Tensor:
