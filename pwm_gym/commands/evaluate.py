@@ -290,7 +290,7 @@ class Evaluate:
 
         prepare_process(self.threads)
         task = get_task(self.task)
-        checkpoint = load_checkpoint(resolve(self.checkpoint, task.name), task.name)
+        checkpoint = load_checkpoint(resolve(self.checkpoint, task.name))
         table = run_distractor_table(checkpoint, task, self.episodes)
         influence = table["influence"]
         print(f"{task.name} among distractors, {table['episodes']} scenes: predictions change by (mm)")

@@ -3,6 +3,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
+from pwm_gym.commands.evaluate import Evaluate
 from pwm_gym.dynamics import build_model, load_checkpoint, resolve
 from pwm_gym.errors import PwmGymError
 from pwm_gym.experiments.distractors import (
@@ -110,3 +111,16 @@ def test_planning_among_distractors_is_counted(scenes, after, wins):
     assert (out["episodes"], out["successes"]) == (2, wins)
     assert out["mean_steps_of_successes"] == (2.0 if wins else None)
     assert out["distractors_pushed_mm"]["largest"] == pytest.approx(2.0 if wins else 4.0, abs=1e-6)
+
+
+def test_the_command_prints_what_the_table_tells(monkeypatch, capsys, tmp_path):
+    planning = {"successes": 3, "distractors_pushed_mm": {"mean": 1.0, "largest": 2.0}}
+    influence = {"own_mm": {"cube": 0.1}, "distractors_mm": {"mean": 0.0, "largest": 0.0}}
+
+    def table(checkpoint, task, episodes):
+        assert checkpoint.banks[task.name] and checkpoint.model is not None
+        return {"episodes": episodes, "influence": influence, "planning": planning}
+
+    monkeypatch.setattr("pwm_gym.experiments.run_distractor_table", table)
+    Evaluate(table="distractors", episodes=3, threads=1, json=tmp_path / "table.json").run()
+    assert "3 scenes" in capsys.readouterr().out and (tmp_path / "table.json").exists()
