@@ -13,6 +13,7 @@ __all__ = [
     "MOST_SUNK",
     "PAD_END",
     "PAD_HALF_WIDTH",
+    "across",
     "along",
     "centre",
     "closing",
@@ -22,6 +23,7 @@ __all__ = [
     "fingers_axis",
     "firmness",
     "forward",
+    "level",
     "middle",
     "near_and_shut",
     "once",
@@ -153,6 +155,18 @@ def fingers_axis(points: Points) -> Tensor:
 def along(points: Tensor, axis: Tensor) -> Tensor:
     """Coordinates (B, n) of points (B, n, 3) along an axis (B, 3, 1)."""
     return (axis.transpose(-1, -2) @ points.transpose(-1, -2)).squeeze(-2)
+
+
+def level(way: Tensor) -> Tensor:
+    """Horizontal unit vector (B, 3, 1) along the ways (B, 3)."""
+    flat = torch.cat([way[..., :2], torch.zeros_like(way[..., 2:])], -1)
+    return (flat / flat.norm(dim=-1, keepdim=True).clamp_min(1e-6)).unsqueeze(-1)
+
+
+def across(front: Tensor) -> Tensor:
+    """Horizontal unit vector (B, 3, 1) a quarter turn to the left of a horizontal one."""
+    x, y, z = front.unbind(-2)
+    return torch.stack([-y, x, z], -2)
 
 
 def near_and_shut(points: Points, action: Tensor, name: str) -> Tensor:

@@ -5,15 +5,14 @@ Cabinet and drawer are each the same to the left and to the right, and stand upr
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
 from pwm_gym.costs import contacts
-from pwm_gym.costs.contacts import Points, along, once
-from pwm_gym.costs.terms import Info, Place, Term
+from pwm_gym.costs.contacts import Points, across, along, level, once
+from pwm_gym.costs.terms import Info, Place, Term, centre, nearness, tool
 from pwm_gym.sim.cabinet import DRAWER_FROM, DRAWER_TO, HANDLE, PLACE, STROKE, TRAY, TRAY_FLOOR
 
 __all__ = [
@@ -66,15 +65,13 @@ CABINET_DRAWER = Drawer(
 def _front(points: Points, drawer: Drawer) -> Tensor:
     """Unit vector (B, 3, 1) in which it opens."""
     way = contacts.centre(points, drawer.name) - contacts.centre(points, drawer.cabinet)
-    level = torch.cat([way[..., :2], torch.zeros_like(way[..., 2:])], -1)
-    return (level / level.norm(dim=-1, keepdim=True).clamp_min(1e-6)).unsqueeze(-1)
+    return level(way)
 
 
 @once
 def _side(points: Points, drawer: Drawer) -> Tensor:
     """Horizontal unit vector (B, 3, 1) across it."""
-    x, y, z = _front(points, drawer).unbind(-2)
-    return torch.stack([-y, x, z], -2)
+    return across(_front(points, drawer))
 
 
 def _extent(points: Points, name: str, axis: Tensor) -> tuple[Tensor, Tensor]:
@@ -168,16 +165,9 @@ def opened(drawer: Drawer) -> Term:
 
 def reach(target: Place) -> Term:
     """Nearness of the tool to a place."""
-    return _nearness(lambda points, info: contacts.tool_centre(points), target)
+    return nearness(tool, target)
 
 
 def put_in(drawer: Drawer, name: str) -> Term:
     """Nearness of an object to its place in the drawer."""
-    return _nearness(lambda points, info: contacts.centre(points, name), spot(drawer, name))
-
-
-def _nearness(place: Callable[[Points, Info], Tensor], target: Place) -> Term:
-    def term(points: Points, info: Info) -> Tensor:
-        return 1.0 - torch.tanh(5.0 * (place(points, info) - target(points, info)).norm(dim=-1))
-
-    return term
+    return nearness(centre(name), spot(drawer, name))

@@ -11,8 +11,8 @@ import torch
 from torch import Tensor
 
 from pwm_gym.costs import contacts
-from pwm_gym.costs.contacts import Points, along, once
-from pwm_gym.costs.terms import Info, Place, Term
+from pwm_gym.costs.contacts import Points, across, along, level, once
+from pwm_gym.costs.terms import Info, Place, Term, middle, nearness
 from pwm_gym.sim.coffee_machine import (
     HOLDER_FLOOR,
     LID_JOINT,
@@ -62,21 +62,18 @@ def _front(points: Points, lid: Lid) -> Tensor:
     low = cloud[..., 2].amin(-1, keepdim=True)
     high = (cloud[..., 2] >= low + lid.back).to(cloud.dtype).unsqueeze(-1)  # (B, n, 1)
     tower = (cloud * high).sum(-2) / high.sum(-2).clamp_min(1.0)
-    way = (contacts.centre(points, lid.machine) - tower)[..., :2]
-    level = torch.cat([way, torch.zeros_like(way[..., :1])], -1)
-    return (level / level.norm(dim=-1, keepdim=True).clamp_min(1e-6)).unsqueeze(-1)
+    return level(contacts.centre(points, lid.machine) - tower)
 
 
 def _point(points: Points, lid: Lid, behind: float, height: float) -> Tensor:
     """Place (B, 3) amid the machine's width, ``behind`` its foremost point and ``height`` over its lowest."""
     front = _front(points, lid)
-    x, y, z = front.unbind(-2)
-    side = torch.stack([-y, x, z], -2)
+    side = across(front)
     ahead, beside = along(points[lid.machine], front), along(points[lid.machine], side)
     middle = 0.5 * (beside.amin(-1) + beside.amax(-1))
     flat = front.squeeze(-1) * (ahead.amax(-1) - behind).unsqueeze(-1) + side.squeeze(-1) * middle.unsqueeze(-1)
-    level = points[lid.machine][..., 2].amin(-1) + height
-    return torch.cat([flat[..., :2], level.unsqueeze(-1)], -1)
+    raised = points[lid.machine][..., 2].amin(-1) + height
+    return torch.cat([flat[..., :2], raised.unsqueeze(-1)], -1)
 
 
 @once
@@ -110,12 +107,7 @@ def shut_to(lid: Lid, most: float) -> Term:
 
 def placed(lid: Lid, name: str) -> Term:
     """Nearness of an object to its place in the holder."""
-    place = holder(lid)
-
-    def term(points: Points, info: Info) -> Tensor:
-        return 1.0 - torch.tanh(5.0 * (contacts.middle(points, name) - place(points, info)).norm(dim=-1))
-
-    return term
+    return nearness(middle(name), holder(lid))
 
 
 def shut(lid: Lid) -> Term:

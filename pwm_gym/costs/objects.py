@@ -12,7 +12,7 @@ from pwm_gym.costs import contacts
 from pwm_gym.costs.contacts import Points
 from pwm_gym.costs.grips import finger_overlap, grip
 from pwm_gym.costs.motion import joint_speed, speed
-from pwm_gym.costs.terms import Info, Place, Term
+from pwm_gym.costs.terms import Info, Place, Term, middle, nearness, tool
 from pwm_gym.robots.speeds import JointSpeeds
 
 __all__ = [
@@ -54,11 +54,7 @@ def near(name: str, target: Place, radius: float) -> Term:
 
 def reach(name: str) -> Term:
     """Nearness of the tool to the object's middle."""
-
-    def term(points: Points, info: Info) -> Tensor:
-        return 1.0 - torch.tanh(5.0 * (contacts.middle(points, name) - contacts.tool_centre(points)).norm(dim=-1))
-
-    return term
+    return nearness(middle(name), tool)
 
 
 def held(name: str) -> Term:
@@ -74,8 +70,8 @@ def grasped(name: str) -> Term:
 
 def place(name: str, target: Place) -> Term:
     """Nearness of the grasped object to a place."""
-    grip, distance = grasped(name), _distance(name, target)
-    return lambda points, info: grip(points, info) * (1.0 - torch.tanh(5.0 * distance(points, info)))
+    grip, arrived = grasped(name), nearness(middle(name), target)
+    return lambda points, info: grip(points, info) * arrived(points, info)
 
 
 def placed(name: str, reached: Term) -> Term:

@@ -28,6 +28,7 @@ __all__ = [
     "at_rest",
     "carry",
     "carry_onto",
+    "centre",
     "disturbance",
     "effort",
     "finger_blocking",
@@ -35,9 +36,11 @@ __all__ = [
     "goal_position",
     "grasped",
     "ground_contact",
+    "middle",
     "misalignment",
     "near",
     "near_and_shut",
+    "nearness",
     "object_still",
     "on_top",
     "pinch",
@@ -51,6 +54,7 @@ __all__ = [
     "stages",
     "still",
     "success_bonus",
+    "tool",
     "ungrasp",
 ]
 
@@ -85,6 +89,26 @@ def on_top(name: str, height: float) -> Place:
 def _distance(name: str, target: Place) -> Term:
     """Distance (B,) from an object's centre to a place."""
     return lambda points, info: (contacts.centre(points, name) - target(points, info)).norm(dim=-1)
+
+
+def nearness(place: Place, target: Place) -> Term:
+    """How near two places are: 1 where they coincide, 1 - tanh(5 d) at ``d`` metres, as ManiSkill's rewards have it."""
+    return lambda points, info: 1.0 - torch.tanh(5.0 * (place(points, info) - target(points, info)).norm(dim=-1))
+
+
+def middle(name: str) -> Place:
+    """Middle (B, 3) of an object's extents, metres."""
+    return lambda points, info: contacts.middle(points, name)
+
+
+def tool(points: Points, info: Info) -> Tensor:
+    """The tool centre (B, 3), metres."""
+    return contacts.tool_centre(points)
+
+
+def centre(name: str) -> Place:
+    """Mean (B, 3) of an object's points, metres."""
+    return lambda points, info: contacts.centre(points, name)
 
 
 def near(name: str, target: Place, radius: float) -> Term:
@@ -128,7 +152,7 @@ def near_and_shut(name: str) -> Term:
 
 def reach(name: str) -> Term:
     """Nearness of the tool to the object."""
-    return lambda points, info: 1.0 - torch.tanh(5.0 * contacts.tool_distance(points, name))
+    return nearness(centre(name), tool)
 
 
 def grasped(name: str) -> Term:
@@ -138,8 +162,8 @@ def grasped(name: str) -> Term:
 
 def place(name: str, target: Place) -> Term:
     """Nearness of the grasped object to a place."""
-    held, distance = grasped(name), _distance(name, target)
-    return lambda points, info: held(points, info) * (1.0 - torch.tanh(5.0 * distance(points, info)))
+    held, placed = grasped(name), nearness(centre(name), target)
+    return lambda points, info: held(points, info) * placed(points, info)
 
 
 def still(arm: JointSpeeds, reached: Term) -> Term:

@@ -44,7 +44,13 @@ def drive(robot: Robot, offset: np.ndarray, speed: float, gripper: float, turn: 
 
 
 def servo(
-    robot: Robot, tool: np.ndarray, target: np.ndarray, closing: np.ndarray, speed: float, gripper: float
+    robot: Robot,
+    tool: np.ndarray,
+    target: np.ndarray,
+    closing: np.ndarray | None,
+    speed: float,
+    gripper: float,
+    gain: float = 1.0,
 ) -> np.ndarray:
     """Action (A,) that moves the tool straight to a place, pointing down, its fingers along a direction.
 
@@ -52,14 +58,16 @@ def servo(
         robot: that is driven.
         tool: tool pose (7,).
         target: place (3,) of the tool, base frame.
-        closing: horizontal direction (3,) along which the fingers shall close, the one way or the other.
+        closing: horizontal direction (3,) along which the fingers shall close, the one way or the other; None keeps
+            their own.
         speed: longest translation asked for in a step, metres.
         gripper: 1 open, -1 shut.
+        gain: share of the usual translation; a heavy load comes to rest with less.
     """
     if robot.action is None:
         raise PwmGymError(f"robot {robot.name!r} has no action of a tool's motion; scripted skills need one")
     offset = target - tool[:3]
-    step = offset * min(_GAIN, speed / max(float(np.linalg.norm(offset)), 1e-9))
+    step = offset * min(_GAIN * gain, speed / max(float(np.linalg.norm(offset)), 1e-9))
     turn = _GAIN * downward_turn(tool, closing)
     turn *= min(1.0, _FASTEST_TURN / max(float(np.linalg.norm(turn)), 1e-9))
     return robot.action(step, turn, gripper)

@@ -9,12 +9,11 @@ from scipy.spatial.transform import Rotation
 
 from pwm_gym.robots import panda
 from pwm_gym.robots.gripper import PANDA
-from pwm_gym.skills.motion import downward_turn
+from pwm_gym.skills.motion import downward_turn, servo
 from pwm_gym.skills.object_grasps import Grasp, ObjectGrasps
 
 __all__ = ["PickObject"]
 
-_GAIN = 1.5  # of the servo: the controller lags and makes a part of what it is asked for
 _CLEAR = 0.02  # metres between the finger tips and the object's top before the hand moves sideways
 _NEAR_GOAL = 0.013  # metres, within which a heavy object is brought to rest slowly
 _SLOW = 0.3  # of the gain there
@@ -110,12 +109,9 @@ class PickObject:
         return self._move(tool, offset, None, -1.0)
 
     def _move(self, tool: np.ndarray, offset: np.ndarray, closing: np.ndarray | None, gripper: float) -> np.ndarray:
-        distance = float(np.linalg.norm(offset))
-        gain = _GAIN * (_SLOW if gripper < 0 and distance < _NEAR_GOAL else 1.0)
-        step = offset * min(gain, self.speed / max(distance, 1e-9))
-        turn = _GAIN * downward_turn(tool, closing)
-        turn *= min(1.0, 0.1 / max(float(np.linalg.norm(turn)), 1e-9))
-        return panda.delta_pose_action(step, turn, gripper)
+        slow = gripper < 0 and float(np.linalg.norm(offset)) < _NEAR_GOAL
+        gain = _SLOW if slow else 1.0
+        return servo(panda.PANDA, tool, tool[:3] + offset, closing, self.speed, gripper, gain)
 
 
 def _rotation(pose: np.ndarray) -> Rotation:

@@ -3,7 +3,7 @@ import pytest
 import torch
 import trimesh
 
-from pwm_gym.costs import contacts
+from pwm_gym.costs import contacts, objects
 from pwm_gym.costs.grips import finger_overlap, grip
 from pwm_gym.scene import sample_surface
 
@@ -68,6 +68,27 @@ def test_what_lies_beyond_a_finger_is_not_between_them():
     assert gaps.abs().max() < 0.003  # the other side of the ring does not count
     empty = contacts.pad_gaps(scene(RING, tool=(0.0, 0.0, 0.025), opening=0.0), "object")
     assert empty.min() > 1.0  # shut in the middle of the ring
+
+
+def held(mesh, closing=0.0, action=-1.0, **gripper):
+    """Whether the contact rule holds, and its soft form; the fingers have come ``closing`` metres closer."""
+    points = scene(mesh, **gripper)
+    velocity = {name: torch.zeros_like(cloud) for name, cloud in points.items()}
+    velocity["left_gripper"][..., 0], velocity["right_gripper"][..., 0] = -closing / 2, closing / 2
+    command = torch.tensor([[0.0] * 6 + [action]])
+    rule = contacts.stopped(points, velocity, command, "object")
+    return bool(rule), float(objects._firmness(points, {"velocity": velocity, "action": command}, "object"))
+
+
+def test_pads_that_press_on_a_part_hold_it_and_those_shut_beside_it_do_not():
+    rule, firmness = held(BAR, tool=(0.0, 0.0, 0.015), opening=0.029)
+    assert rule and firmness > 0.9
+    assert held(BAR, tool=(0.0, 0.0, 0.015), opening=0.029, closing=0.02)[0]  # the step in which they meet it
+    assert not held(BAR, tool=(0.0, 0.0, 0.015), opening=0.034, closing=0.02)[0]  # not there yet
+    assert held(BAR, tool=(0.0, 0.0, 0.015), opening=0.029, action=1.0) == (False, 0.0)
+    assert held(BAR, tool=(0.0, 0.0, 0.015), opening=0.029, action=-0.3) == (True, 0.0)  # told to stop half-way
+    rule, firmness = held(BAR, tool=(0.0, 0.0, 0.015), opening=0.0)  # shut in it: 30 mm through the pads
+    assert not rule and firmness < 0.01
 
 
 def test_tall_objects_are_held_near_their_tops():

@@ -255,6 +255,20 @@ def test_articulated_motion_is_an_event(worlds, recorder):
     assert 0.5 < moved.float().mean() < 0.8  # 50 of 79, instead of 1 of 30
 
 
+def test_several_objects_that_move_at_once_are_drawn_more_often(worlds, recorder):
+    world = worlds["no arm"].only("cube", "ball")
+    dataset = recorder.dataset(world, episodes=1, steps=30)
+    episode = dataset.episodes[0]
+    poses = np.repeat(episode.poses[:1], len(episode.poses), 0)
+    poses[11:, 0, 0] += 0.005  # the cube alone in the step after frame 10
+    poses[21:, :2, 0] += 0.005  # both in the one after frame 20
+    windows = Windows(replace(dataset, episodes=(replace(episode, poses=poses),)), boost=10.0)
+    batch = windows.sample(torch.Generator().manual_seed(0), 2000, 1)
+    count = ((batch.following[:, 0] - batch.frames[:, 0])[:, :2, 0, 3].abs() > 1e-3).sum(1)
+    shares = [float((count == n).float().mean()) for n in (1, 2)]
+    assert shares == pytest.approx([10 / 138, 100 / 138], abs=0.03)  # 28 windows of weight 1
+
+
 def test_shards_hold_episodes_with_and_without_assets(several, tmp_path):
     path = tmp_path / "shard.npz"
     header = {"format": "pwm_gym.episodes", "schema": 2, "task": "Test"}

@@ -174,6 +174,14 @@ def test_long_rollouts_of_a_still_world(dataset):
     assert out["finite"] and 0.5 < out["random_actions_m"] < 1.0 and out["steps"] == 5
 
 
+def test_long_rollouts_start_where_demonstrations_do(train_split, monkeypatch):
+    model, started = build_model("still", train_split.layout, Control()), []
+    prepare = model.prepare
+    monkeypatch.setattr(model, "prepare", lambda state: started.append(state.batch) or prepare(state))
+    long_rollouts(model, train_split, steps=1)
+    assert started == [(4,)] and len(train_split.episodes) == 8  # practice may start in mid-air
+
+
 def test_the_sampling_floor(train_split, simulator):
     assert sampling_floor(train_split, lambda e: train_split.scene(e).clouds)["chamfer_l1"] == 0
     fresh = sample_clouds(simulator.meshes(), train_split.layout, seed=1000)

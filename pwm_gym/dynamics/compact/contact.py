@@ -9,13 +9,13 @@ what is told pair by pair decides who carries and pushes whom.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor, nn
 
-from pwm_gym.dynamics.compact.plan import Plan
-from pwm_gym.scene.se3 import inverse, transform
+from pwm_gym.dynamics.compact.plan import Places, Plan
+from pwm_gym.scene.se3 import transform
 
 __all__ = ["PAIR_FEATURES", "Contacts", "LinkShapes", "MoverContacts", "Shapes"]
 
@@ -73,37 +73,25 @@ class Shapes:
     middles: Tensor
     """Mean points (B, P, 3)."""
 
+    clouds: Tensor | None
+    """More of the movers' points (B, F, 4, m), homogeneous, where contacts may look at them more closely."""
+
     @classmethod
-    def of(cls, points: Tensor) -> Shapes:
-        """Of canonical points (B, P, n, 3)."""
-        rows = nn.functional.pad(points.transpose(-1, -2), (0, 0, 0, 1), value=1.0)
-        return cls(rows, rows[:, :, :3].amin(-1), rows[:, :, :3].amax(-1), rows[:, :, :3].mean(-1))
+    def of(cls, points: Tensor, movers: Places, clouds: Tensor | None) -> Shapes:
+        """Of canonical points (B, P, n, 3), and larger clouds (B, F, m, 3) of the entities at ``movers``."""
+        rows = _homogeneous(points)
+        low, high = rows[:, :, :3].amin(-1), rows[:, :, :3].amax(-1)
+        middles = rows[:, :, :3].mean(-1)
+        if clouds is None:
+            return cls(rows, low, high, middles, None)
+        more = _homogeneous(clouds)
+        low[:, movers], high[:, movers] = more[:, :, :3].amin(-1), more[:, :, :3].amax(-1)
+        return cls(rows, low, high, middles, more)
 
-    def look_closer(self, plan: Plan, clouds: Tensor, ahead: Tensor) -> Shapes:
-        """The same, where half of the movers' points are those of larger clouds that are nearest to a partner's box.
 
-        What may be touched is told at the clouds' resolution, and the network reads no more points.
-
-        Args:
-            plan: of the layout.
-            clouds: canonical points (B, F, m, 3) of the movers.
-            ahead: poses (B, P, 4, 4) of all entities one step ahead.
-        """
-        count, half = plan.partners, self.points.shape[-1] // 2
-        rows = clouds.transpose(-1, -2)  # (B, F, 3, m)
-        with torch.no_grad():
-            local = inverse(ahead[:, :count]).unsqueeze(1) @ ahead[:, plan.movers].unsqueeze(2)  # (B, F, P, 4, 4)
-            centre, sides = 0.5 * (self.low + self.high)[:, :count], 0.5 * (self.high - self.low)[:, :count]
-            shift = local[..., :3, 3:] - centre[:, None, ..., None]
-            boxed = local[..., :3, :3] @ rows.unsqueeze(2) + shift  # (B, F, P, 3, m)
-            gaps = (boxed.abs() - sides[:, None, ..., None]).amax(-2) + plan.apart[:, -count:]  # (B, F, P, m)
-            nearest = gaps.amin(2).topk(half, -1, largest=False).indices
-        chosen = rows.gather(-1, nearest.unsqueeze(2).expand(-1, -1, 3, -1))
-        chosen = nn.functional.pad(chosen, (0, 0, 0, 1), value=1.0)
-        points, low, high = self.points.clone(), self.low.clone(), self.high.clone()
-        points[:, plan.movers, :, -half:] = chosen
-        low[:, plan.movers], high[:, plan.movers] = rows.amin(-1), rows.amax(-1)
-        return replace(self, points=points, low=low, high=high)
+def _homogeneous(points: Tensor) -> Tensor:
+    """(..., 4, n) of points (..., n, 3)."""
+    return nn.functional.pad(points.transpose(-1, -2), (0, 0, 0, 1), value=1.0)
 
 
 class LinkShapes(nn.Module):
@@ -194,11 +182,12 @@ class MoverContacts(nn.Module):
         shift = turns @ both[..., :3, 3:] + centre[:, None, ..., None]
         boxes = torch.cat([turns, -shift], -1)  # (B, 2, P, 3, 4): from the world to the axes of each entity's box
         (rows, local), sizes = self._rows(plan, poses, both, boxes, seen), plan.box_rows
-        product = rows @ shapes.points[:, plan.movers]  # (B, F, R, n): all that is linear in the movers' points
+        points = self._look_closer(plan, shapes, local, half)
+        product = rows @ points[:, plan.movers]  # (B, F, R, n): all that is linear in the movers' points
         boxed, height, place, boxed_next, *others_rows = product.split([*sizes, *sizes, 3, len(self._hands)], 2)
-        gap, out = self._gaps(plan, boxed, boxed_next, local, shapes.points, centre, half)
+        gap, out = self._gaps(plan, boxed, boxed_next, local, points, centre, half)
         count, most = plan.partners, plan.touchable
-        nearest, push, touching = self._pushes(plan, both[:, 1], gap[:, :, most:], out, shapes.points)
+        nearest, push, touching = self._pushes(plan, both[:, 1], gap[:, :, most:], out, points)
         lowest = gap[:, :, :most].amin(-1)
         pairs = self._pairs(
             now[:, :count], now[:, plan.movers], moves[:, :count], moves[:, plan.movers], lowest[:, :, :count], nearest
@@ -214,6 +203,30 @@ class MoverContacts(nn.Module):
             unsupported=((clear - _HANGING) / _HANGS).clamp(0.0, 1.0).unsqueeze(-1),
             touching=touching,
         )
+
+    @staticmethod
+    def _look_closer(plan: Plan, shapes: Shapes, local: Tensor, half: Tensor) -> Tensor:
+        """Points (B, P, 4, n) to read: of movers, half are those of the larger clouds nearest to a partner's box.
+
+        What may be touched is told at the clouds' resolution, and the network reads no more points.
+
+        Args:
+            plan: of the layout.
+            shapes: of the entities.
+            local: maps (B, F, P, 3, 4) from the movers to the axes of the partners' boxes one step ahead.
+            half: half the boxes' sides (B, P, 3).
+        """
+        points, clouds = shapes.points, shapes.clouds
+        if clouds is None:
+            return points
+        count, near = plan.partners, points.shape[-1] // 2
+        with torch.no_grad():
+            boxed = local @ clouds.unsqueeze(2)  # (B, F, P, 3, m)
+            gaps = (boxed.abs() - half[:, None, :count, :, None]).amax(-2) + plan.apart[:, -count:]
+            nearest = gaps.amin(2).topk(near, -1, largest=False).indices  # (B, F, n / 2)
+        points = points.clone()
+        points[:, plan.movers, :, -near:] = clouds.gather(-1, nearest.unsqueeze(2).expand(-1, -1, 4, -1))
+        return points
 
     def _rows(self, plan: Plan, poses: Tensor, both: Tensor, boxes: Tensor, seen: Tensor) -> tuple[Tensor, Tensor]:
         """Maps (B, F, R, 4) of the movers' canonical points to all that is linear in them.

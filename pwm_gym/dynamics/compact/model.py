@@ -161,10 +161,10 @@ class CompactModel(nn.Module):
         plan = self.plan(state.layout)
         poses = state.frames if plan.sorted else state.frames[:, :, plan.order]  # (B, 3, P, 4, 4)
         links, moves = poses[:, :, : plan.links], twists(poses.transpose(1, 2))  # (B, P, 2, 6)
+        shapes = self._shapes(state, plan)
 
         # What is known: the robot's response, and where everything is going.
         forecast = self.robot.forecast(links, state.joints, action, plan.floor)
-        shapes = self._shapes(state, plan, poses, forecast.links)
         frames = torch.stack([self._frame(poses[:, 0]), self._frame(forecast.links)], 1)  # (B, 2, 4, 4)
         seen = inverse(frames)[:, :, :3]
 
@@ -197,18 +197,17 @@ class CompactModel(nn.Module):
             error = state.error + self.error(tokens)
         return state.advance(following, joints, error), tokens
 
-    def _shapes(self, state: RigidState, plan: Plan, poses: Tensor, links_next: Tensor) -> Shapes:
-        """The canonical points that are read, equally many of each entity."""
+    def _shapes(self, state: RigidState, plan: Plan) -> Shapes:
+        """The canonical points that are read, equally many of each entity, and more of the movers'."""
         every = [state.layout.entities[k] for k in plan.order]
-        count = min(self.config.points, *(e.points for e in every))
-        shapes = Shapes.of(torch.stack([state.clouds[:, e.start : e.start + count] for e in every], 1))
-        movers = [every[k] for k in plan.places]
-        searched = min(self.config.searched, *(e.points for e in every))
-        if searched <= count or not movers or not plan.partners:
-            return shapes
-        clouds = torch.stack([state.clouds[:, e.start : e.start + searched] for e in movers], 1)
-        others = torch.lerp(poses[:, 1, plan.links :], poses[:, 0, plan.links :], 2.0)  # as fast as in the last step
-        return shapes.look_closer(plan, clouds, torch.cat([links_next, others], 1))
+        least = min(e.points for e in every)
+        count, searched = min(self.config.points, least), min(self.config.searched, least)
+        points = torch.stack([state.clouds[:, e.start : e.start + count] for e in every], 1)
+        clouds = None
+        if searched > count and plan.places and plan.partners:
+            movers = [every[k] for k in plan.places]
+            clouds = torch.stack([state.clouds[:, e.start : e.start + searched] for e in movers], 1)
+        return Shapes.of(points, plan.movers, clouds)
 
     def _frame(self, poses: Tensor) -> Tensor:
         """Frame of reference (B, 4, 4) at poses (B, P, 4, 4): the hand's, or base axes about the hands' middle."""

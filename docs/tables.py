@@ -1,0 +1,146 @@
+"""Sections of the results page on the tables of models, on completion and on speed."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from formatting import SUCCESS_HEAD, grid, number, paragraph, read, source, success
+
+_TABLES = ("rollout", "baselines", "head", "register", "horizon", "data", "arm")
+
+
+def planning_table(name: str, title: str = "") -> str:
+    """Success of every model and mode of a planning table; ``title`` stands for its caption."""
+    result = read(name)
+    if result is None:
+        return ""
+    rows = []
+    for row in result["rows"]:
+        rounds = f" x {row['iterations']}" if row["iterations"] > 1 else ""
+        label = f"{row['row']}{', partial clouds' if row['partial'] else ''}, {row['samples']}{rounds} samples"
+        label += f", {row['max_steps']} steps at most"
+        rows += [[label, mode, *success(outcome)] for mode, outcome in row["modes"].items()]
+    commits = sorted({str(mode["commit"]) for row in result["rows"] for mode in row["modes"].values()})
+    told = source(name, {**result, "commit": ", ".join(commits)})
+    about = paragraph(
+        f"Planned with horizon {result['rows'][0]['horizon']}, executed in the simulator. In closed loop the planner",
+        "looks at every step, in open loop at the first scene alone.",
+    )
+    table = grid(["model", *SUCCESS_HEAD], rows)
+    return f"## {title or result['caption']}\n\n{told}\n{about}\n{table}{_failures(result['rows'])}"
+
+
+def _failures(rows: list[dict[str, Any]]) -> str:
+    """Every failed seed, with the sheet of the row's failures where one is drawn."""
+    lines = []
+    for row in rows:
+        for mode, outcome in row["modes"].items():
+            seeds, sheet = ", ".join(map(str, outcome["failed_seeds"])), outcome.get("picture")
+            if seeds:
+                lines.append(f"- {row['row']}, {mode}: {f'[{seeds}](images/{sheet})' if sheet else seeds}")
+    return "\nFailed seeds:\n\n" + "\n".join(lines) + "\n" if lines else ""
+
+
+def completion() -> str:
+    """Errors of the completion network."""
+    result = read("completion")
+    if result is None:
+        return ""
+    rows = []
+    for name, row in result["rows"].items():
+        chamfer = [number(row[cell], 1) for cell in ("chamfer", "partial", "hull", "floor", "centroid_percent")]
+        shares = [f"{100 * row['better_than_hull']:.0f} %", number(row["f_score"], 2), number(row["error_rank"], 2)]
+        rows.append([f"{name} ({len(row['objects'])} objects)", *chamfer, *shares])
+    head = ["", "Chamfer x 1000", "what is seen", "its hull", "floor", "centroid, % of size", "better than the hull"]
+    about = paragraph(
+        f"New views of meshes, {result['views']} of each, turned at random; lengths in units of the object's longest",
+        "side, Euclidean Chamfer distances of 2,048 points, half of both directions' sum. Floor: fresh points of the",
+        "true surface. The last column is the rank correlation of the expected with the real error.",
+    )
+    unseen = result["rows"].get("unseen, clean", {}).get("objects", {})
+    each = ", ".join(f"{name} {value:.0f}" for name, value in unseen.items())
+    told = f"\n{paragraph(f'Unseen objects, clean: {each}.')}" if each else ""
+    table = grid([*head, "F-score at 2 %", "knows its error"], rows)
+    return f"## Completion\n\n{source('completion', result)}\n{about}\n{table}{told}"
+
+
+def completed_rollouts() -> str:
+    """Rollouts from what perception makes of views."""
+    result = read("evaluate_completed")
+    if result is None:
+        return ""
+    labels = {"compact": "complete clouds from the simulator"}
+    labels.update({k: f"{k} of the robot" for k in result["rows"] if k.startswith("completed")})
+    rows = []
+    for split in ("all", "expert", "randomised"):
+        for key, label in labels.items():
+            row = result["rows"][key][split]
+            position = row["entities"]["cube"]["position_mm"]["60"]
+            cells = [number(row["chamfer_l1"], 4), number(row["reward_correlation"], 3)]
+            first = f"{split} ({row['episodes']})" if key == "compact" else ""
+            rows.append([first, label, *cells, f"{position['mean']:.1f} / {position['median']:.1f}"])
+    head = ["episodes", "the model starts from", "Chamfer L1 (m)", "reward correlation", "cube at 60 (mm)"]
+    about = paragraph(
+        "The default model from what perception makes of the first views: the object segmented by the simulator's ids,",
+        "cleaned, completed and tracked, the robot from its joint angles; scored against the complete truth.",
+    )
+    table = grid(head, rows)
+    return f"## Rollouts from completed views\n\n{source('evaluate_completed', result)}\n{about}\n{table}"
+
+
+def all_tables() -> list[str]:
+    """The tables of trainings that are there."""
+    names = [f"table_{name}" for name in _TABLES]
+    return [_table(name, result) for name in names if (result := read(name))]
+
+
+def _table(name: str, result: dict[str, Any]) -> str:
+    planned = any(row.get("planning") for row in result["rows"])
+    rows = []
+    for row in result["rows"]:
+        splits = row["splits"]
+        cells = [row["row"]]
+        cells += [_spread(splits[s]["chamfer_l1"], 4) if s in splits else "-" for s in ("all", "expert", "randomised")]
+        correlation = splits["all"].get("reward_correlation")
+        cells += [_spread(correlation, 3) if correlation else "-", row["paper, other data"] or "-"]
+        cells += [f"{row['episodes']:,}", f"{row['cpu_minutes']:.0f}"]
+        cells += [f"{row['sample_steps']:,}", f"{row['parameters'] / 1e6:.2f} M"]
+        if planned:
+            runs = row["planning"]
+            cells.append(f"{runs[0]['successes']} / {runs[0]['episodes']}" if runs else "-")
+        rows.append(cells)
+    head = ["", "Chamfer L1, all (m)", "expert", "randomised", "reward correlation", "paper, other data"]
+    head += ["episodes", "CPU-minutes", "sample-steps", "parameters", *(["planned"] if planned else [])]
+    commits = sorted({commit for row in result["rows"] for commit in row["commits"]})  # of its pieces
+    told = source(name, {**result, "commit": ", ".join(commits)})
+    return f"## {result['caption']}\n\n{told}\n{grid(head, rows)}"
+
+
+def _spread(value: dict[str, float], digits: int) -> str:
+    mean, spread = f"{value['mean']:.{digits}f}", value["spread"]
+    return f"{mean} ± {spread:.{digits}f}" if spread else mean
+
+
+def speed() -> str:
+    """Times of environments, rollouts and plans."""
+    result = read("bench_pick_cube")
+    if result is None:
+        return ""
+    rows = [["raw simulator, steps a second", f"{result['simulator_steps_per_second']:,.0f}"]]
+    for count, rate in result["model_steps_per_second"].items():
+        times = f"{rate:,.0f} ({rate / result['simulator_steps_per_second']:.1f} x)"
+        rows.append([f"`make_vec(num_envs={count})`, environment steps a second", times])
+    for kind, about in (("rollout", "samples x horizon"), ("plan", "samples x horizon x points of the scene")):
+        for size, seconds in result[f"{kind}_seconds"].items():
+            rows.append([f"one {kind} of {size} ({about}), seconds", f"{seconds:.3f}"])
+    for name, row in result.get("planners", {}).items():
+        label = f"MPPI of `{name}` with our model, seconds an action; planning cost at the end"
+        rows.append([label, f"{row['seconds']:.3f}; {row['final_cost']:.2f}"])
+    for name, stages in result.get("perception", {}).items():
+        told = ", ".join(f"{stage} {1e3 * seconds:.0f}" for stage, seconds in stages.items() if stage != "all")
+        label = "ray-cast view, 128 x 128" if name == "ray-cast" else f"{name} view to a scene (D455, no SAM3)"
+        rows.append([f"{label}, ms", f"{1e3 * stages['all']:.0f}{f' ({told})' if told else ''}"])
+    start = result["start"]
+    rows.append(["`gym.make` and `reset` in a fresh process", f"{start['seconds']:.1f} s, {start['gib']:.2f} GiB"])
+    rows.append(["peak memory of all this, GiB", f"{result['peak_gib']:.2f}"])
+    return f"## Speed\n\n{source('bench_pick_cube', result)}\n{grid(['what', 'measured'], rows)}"
