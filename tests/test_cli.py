@@ -67,6 +67,7 @@ def test_help_lists_every_command(capsys):
         (["evaluate", "--table", "horizn"], "Did you mean 'horizon'"),
         (["evaluate", "--table", "shared"], "expected --checkpoints FOLDER"),
         (["plan", "--episodes", "0"], "--episodes 0; expected at least 1"),
+        (["evaluate", "--table", "register", "--scale", "0"], "--scale 0.0; expected a share above 0 and up to 1"),
         (["plan", "--max-steps", "0"], "--max-steps 0; expected at least 1"),
         (["plan", "--offset", "-5"], "--offset -5; expected at least 0"),
         (["plan", "--offset", "99999"], "plan_test has 100000 seeds; 99999 + 20 were asked for"),

@@ -61,8 +61,8 @@ class Evaluate:
     strips: Path | None = None
     """Folder for a strip (PNG) of a rollout of each kind: predicted over true at five instants."""
     table: str | None = None
-    """rollout, baselines, register, horizon, data, head, arm, planning, planning-paper, planners, completed, shared or
-    distractors."""
+    """rollout, baselines, register, register-points, horizon, horizon-points, data, data-points, head, arm, planning,
+    planning-paper, planners, completed, shared or distractors."""
     checkpoints: tuple[Path, ...] = ()
     """Table "shared": folders of checkpoints, each a row."""
     tasks: tuple[str, ...] = ()
@@ -75,7 +75,13 @@ class Evaluate:
     full: bool = False
     """Tables of planning: whether the fast models plan 100 episodes instead of 20."""
     members: tuple[str, ...] = ()
-    """Tables of planning: only these of its rows, by name; none given takes all."""
+    """Tables of trainings and of planning: only these of its rows, by name; none given takes all."""
+    modes: tuple[str, ...] = ()
+    """Tables of planning: only these modes, by name, such as "closed loop"; none given takes all."""
+    scale: float = 1.0
+    """Share of a table's training steps that each of its rows takes."""
+    seeds: int = 0
+    """Tables of trainings: how many of each row's seeds are trained; 0 takes all."""
     out: Path = Path("runs/tables")
     """Folder of a table's trainings and results."""
     workers: int = 1
@@ -144,7 +150,9 @@ class Evaluate:
         """Refuse numbers that cannot be, and options that nothing would read."""
         from pwm_gym.errors import PwmGymError
 
-        check_least(self, every=1, workers=1, threads=1, episodes=0, long=0)
+        check_least(self, every=1, workers=1, threads=1, episodes=0, long=0, seeds=0)
+        if not 0 < self.scale <= 1:
+            raise PwmGymError(f"--scale {self.scale}; expected a share above 0 and up to 1")
         if self.table is None and self.objects:
             raise PwmGymError(
                 f"--objects {self.objects}; expected a --table that plans: a data set has its own objects"
@@ -246,7 +254,17 @@ class Evaluate:
         """A table whose rows are trained."""
         from pwm_gym.experiments import run_table
 
-        table = run_table(name, data_folder(self.task, self.data), self.out, self.task, self.workers, self.objects)
+        table = run_table(
+            name,
+            data_folder(self.task, self.data),
+            self.out,
+            self.task,
+            self.workers,
+            self.objects,
+            rows=self.members,
+            scale=self.scale,
+            seeds=self.seeds,
+        )
         from pwm_gym.evaluation.text import trained_text
 
         print(trained_text(table))
@@ -262,7 +280,9 @@ class Evaluate:
         draw = None if self.pictures is None else partial(_draw_failures, self.pictures)
         data = data_folder(self.task, self.data)
         chosen = PLANNING_TABLES[name]
-        table = run_planning_table(chosen, data, self.out, self.task, self.full, self.members, draw, self.objects)
+        table = run_planning_table(
+            chosen, data, self.out, self.task, self.full, self.members, draw, self.objects, self.modes, self.scale
+        )
         from pwm_gym.evaluation.text import planning_text
 
         print(planning_text(table))

@@ -57,7 +57,7 @@ def describe_commit() -> str | None:
 def write_results(path: Path, results: dict[str, Any]) -> None:
     """Write ``results`` to ``path`` beside the command, machine, commit and date."""
     record = {
-        "command": shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
+        "command": shlex.join([_program(), *sys.argv[1:]]),
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
         "commit": describe_commit(),
         "machine": describe_machine(),
@@ -65,3 +65,9 @@ def write_results(path: Path, results: dict[str, Any]) -> None:
     }
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps(record, indent=1, default=float) + "\n")
+
+
+def _program() -> str:
+    """What was started; ``python -m pwm_gym`` is told by the name that it is installed under."""
+    name = Path(sys.argv[0]).name
+    return "pwm-gym" if name == "__main__.py" else name

@@ -155,6 +155,8 @@ def run_planning_table(
     members: Sequence[str] = (),
     draw: Callable[[str, str, Sequence[Run]], str] | None = None,
     objects: str = "",
+    modes: Sequence[str] = (),
+    scale: float = 1.0,
 ) -> dict[str, Any]:
     """Plan with every member in every mode; what is there already is kept, and progress is printed.
 
@@ -168,20 +170,23 @@ def run_planning_table(
         draw: draws the failed runs of a row in a mode, and returns the picture's name; None draws none.
         objects: what episodes draw their objects from, as of :meth:`pwm_gym.tasks.Task.make_simulator`; "" for the
             task's default.
+        modes: names of modes; none given takes all.
+        scale: share of the table's training steps that members take that are rows of the table of rollouts.
 
     Raises:
-        UnknownNameError: the table has no such member.
+        UnknownNameError: the table has no such member or mode.
         PwmGymError: the task has no such objects.
     """
     chosen = table.choose(members)
     check_objects(get_task(task), objects)
-    pieces = {(m.name, mode): _piece(m, mode, data, out, task, full, objects) for m in chosen for mode in table.modes}
+    asked = [look_up("mode", mode, {m: m for m in table.modes}) for mode in modes or table.modes]
+    pieces = {(m.name, mode): _piece(m, mode, data, out, task, full, objects, scale) for m in chosen for mode in asked}
     results = dict(zip(pieces, run_pieces(list(pieces.values())), strict=True))
     for (name, mode), result in results.items():
         if draw is not None and result["failed_seeds"]:
             failed = load_runs(result["failed_seeds"], pieces[name, mode].folder)
             result["picture"] = draw(name, mode, failed)
-    rows = [_row(member, {mode: results[member.name, mode] for mode in table.modes}) for member in chosen]
+    rows = [_row(member, {mode: results[member.name, mode] for mode in asked}) for member in chosen]
     return {"caption": table.caption, "rows": rows}
 
 
@@ -199,7 +204,9 @@ def _row(member: Member, modes: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _piece(member: Member, mode: str, data: Path, out: Path, task: str, full: bool, objects: str = "") -> Piece:
+def _piece(
+    member: Member, mode: str, data: Path, out: Path, task: str, full: bool, objects: str = "", scale: float = 1.0
+) -> Piece:
     """One member in one mode, named after all that decides its result, so that tables share equal ones."""
     chunk = CHUNKS[mode] if CHUNKS[mode] < member.max_steps else 0  # never looks again
     episodes = member.count(full)
@@ -207,20 +214,28 @@ def _piece(member: Member, mode: str, data: Path, out: Path, task: str, full: bo
     if member.kind == "checkpoint":
         source = digest(resolve(member.source, task))
     elif member.kind == "row":
-        source = row_folder("rollout", member.source, data, out, task).name
+        source = row_folder("rollout", member.source, data, out, task, scale).name
     if member.observation == "completed":
         source += digest(SHIPPED)
     asked = [objects] if objects else []
     recipe = (task, replace(member, name=""), source, chunk, episodes, member.config, member.max_steps, *asked)
-    make = partial(_planned, member, data, out, task, chunk, episodes, objects)
+    make = partial(_planned, member, data, out, task, chunk, episodes, objects, scale)
     return Piece(f"{member.name}, {mode}", "planning", repr(recipe), out, make)
 
 
 def _planned(
-    member: Member, data: Path, out: Path, task: str, chunk: int, episodes: int, objects: str, folder: Path
+    member: Member,
+    data: Path,
+    out: Path,
+    task: str,
+    chunk: int,
+    episodes: int,
+    objects: str,
+    scale: float,
+    folder: Path,
 ) -> dict[str, Any]:
     """Plan with one member in one mode."""
-    model = _model(member, data, out, get_task(task).name, objects)
+    model = _model(member, data, out, get_task(task).name, objects, scale)
     table = _plan(model, member, get_task(task), chunk, episodes, objects, folder)
     return {"threads": torch.get_num_threads(), **table}
 
@@ -231,14 +246,14 @@ def digest(checkpoint: Path) -> str:
 
 
 @lru_cache(maxsize=1)  # the modes of a member follow each other
-def _model(member: Member, data: Path, out: Path, task_name: str, objects: str) -> WorldModel:
+def _model(member: Member, data: Path, out: Path, task_name: str, objects: str, scale: float) -> WorldModel:
     """The member's model, trained where it is not yet."""
     task = get_task(task_name)
     if member.kind == "checkpoint":
         return load_checkpoint(resolve(member.source, task.name)).model
     if member.kind == "row":
         threads = torch.get_num_threads()
-        folder = trained("rollout", member.source, data, out, task.name)
+        folder = trained("rollout", member.source, data, out, task.name, scale)
         torch.set_num_threads(threads)  # a training sets its own
         return load_checkpoint(folder).model
     if member.kind == "simulator":

@@ -61,6 +61,11 @@ class Row:
     paper: str = ""
     """The paper's figure, measured on other data."""
 
+    def shorten(self, scale: float, seeds: int = 0) -> Row:
+        """The row with ``scale`` times the training steps, and the first of its ``seeds`` alone; 0 takes all."""
+        phases = tuple((h, max(1, round(scale * steps)), batch) for h, steps, batch in self.training.phases)
+        return replace(self, training=replace(self.training, phases=phases), seeds=self.seeds[: seeds or None])
+
 
 @dataclass(frozen=True)
 class Table:
@@ -68,6 +73,15 @@ class Table:
 
     caption: str
     rows: tuple[Row, ...]
+
+    def choose(self, names: Sequence[str] = ()) -> tuple[Row, ...]:
+        """The rows called ``names``, or all.
+
+        Raises:
+            UnknownNameError: listing the known ones.
+        """
+        known = {row.name: row for row in self.rows}
+        return tuple(look_up("row of the table", name, known) for name in names) if names else self.rows
 
 
 def _budget(sample_steps: int, batch: int, *shares: tuple[int, float], **settings: Any) -> TrainConfig:
@@ -84,6 +98,9 @@ _LONG = _budget(_HEADLINE, 32, *_STEPPED, **_POINTS)
 _HYBRID = replace(_LONG, loss="hybrid")
 _SEEDS = (0, 1, 2)
 _POINTWISE = {"rigid": False}
+_SMALL: dict[str, Any] = {"model": "paper-small"}
+_REGISTERS = ((0, "0.013"), (1, "0.009"), (2, "0.009"))
+_HORIZONS = ((1, ""), (3, "0.068"), (5, "0.038"), (10, "0.021"), (15, "0.009"))
 
 TABLES: dict[str, Table] = {
     "rollout": Table(
@@ -141,7 +158,14 @@ TABLES: dict[str, Table] = {
         "Register tokens (paper, Table 2)",
         tuple(
             Row(name=f"{n} register tokens", settings={**_CERTAIN, "registers": n}, training=_QUICK, paper=figure)
-            for n, figure in ((0, "0.013"), (1, "0.009"), (2, "0.009"))
+            for n, figure in _REGISTERS
+        ),
+    ),
+    "register-points": Table(
+        "Register tokens of paper-small (paper, Table 2)",
+        tuple(
+            Row(name=f"{n} register tokens", settings={"registers": n}, training=_LONG, paper=figure, **_SMALL)
+            for n, figure in _REGISTERS
         ),
     ),
     "horizon": Table(
@@ -149,9 +173,22 @@ TABLES: dict[str, Table] = {
         (
             *(
                 Row(name=f"H = {h}", training=_budget(_ABLATION, 256, (h, 1.0)), paper=figure)
-                for h, figure in ((1, ""), (3, "0.068"), (5, "0.038"), (10, "0.021"), (15, "0.009"))
+                for h, figure in _HORIZONS
             ),
             Row(name="H = 1, 5, 15 growing", training=_QUICK),
+        ),
+    ),
+    "horizon-points": Table(
+        "Supervision horizon of paper-small (paper, Table 3)",
+        tuple(
+            Row(
+                name=f"H = {h}",
+                settings={},
+                training=_budget(_HEADLINE, 32, (h, 1.0), **_POINTS),
+                paper=figure,
+                **_SMALL,
+            )
+            for h, figure in _HORIZONS
         ),
     ),
     "data": Table(
@@ -162,6 +199,13 @@ TABLES: dict[str, Table] = {
             Row(name="demonstrations alone", training=_QUICK, kinds=("expert", "randomised"), plan=20),
             Row(name="demonstrations without random switches", training=_QUICK, kinds=("expert",), plan=20),
             *(Row(name=f"{n} episodes of all kinds", training=_QUICK, episodes=n) for n in (1000, 300, 100)),
+        ),
+    ),
+    "data-points": Table(
+        "Training data of paper-small",
+        (
+            Row(name="all episodes of all kinds", settings={}, training=_LONG, **_SMALL),
+            Row(name="no random switches", settings={}, training=_LONG, kinds=("expert", "practice"), **_SMALL),
         ),
     ),
     "head": Table(
@@ -183,7 +227,15 @@ TABLES: dict[str, Table] = {
 
 
 def run_table(
-    name: str, data: Path, out: Path, task: str = "PickCube", workers: int = 1, objects: str = ""
+    name: str,
+    data: Path,
+    out: Path,
+    task: str = "PickCube",
+    workers: int = 1,
+    objects: str = "",
+    rows: Sequence[str] = (),
+    scale: float = 1.0,
+    seeds: int = 0,
 ) -> dict[str, Any]:
     """Train and evaluate what is still missing of a table, and return its rows; progress is printed.
 
@@ -195,20 +247,24 @@ def run_table(
         workers: pieces at once, each on one thread.
         objects: what planned episodes draw their objects from, as of :meth:`pwm_gym.tasks.Task.make_simulator`; "" for
             the task's default.
+        rows: names of the table's rows; none given takes all.
+        scale: share of the table's training steps that each row takes.
+        seeds: how many of each row's seeds are trained; 0 takes all.
 
     Raises:
-        UnknownNameError: no table has this name.
+        UnknownNameError: no table has this name, or no row of it.
         PwmGymError: the task has no such objects.
     """
     table = look_up("table", name, TABLES)
     check_objects(get_task(task), objects)
-    pieces = [_piece(row, seed, data, out, task, objects) for row in table.rows for seed in row.seeds]
-    if any(row.view == "partial" for row in table.rows) and not all(p.result.exists() for p in pieces):
+    chosen = [row.shorten(scale, seeds) for row in table.choose(rows)]
+    pieces = [_piece(row, seed, data, out, task, objects) for row in chosen for seed in row.seeds]
+    if any(row.view == "partial" for row in chosen) and not all(p.result.exists() for p in pieces):
         for split in ("train", "validation", "test"):  # before several processes want it
             visible_split(data, split, get_task(task))
     results = iter(run_pieces(pieces, workers))
-    rows = [_joined(row, [next(results) for _ in row.seeds], get_task(task).objects) for row in table.rows]
-    return {"caption": table.caption, "rows": rows}
+    joined = [_joined(row, [next(results) for _ in row.seeds], get_task(task).objects) for row in chosen]
+    return {"caption": table.caption, "rows": joined}
 
 
 def _piece(row: Row, seed: int, data: Path, out: Path, task: str, objects: str = "") -> Piece:
@@ -230,7 +286,7 @@ def _piece(row: Row, seed: int, data: Path, out: Path, task: str, objects: str =
     return Piece(f"{row.name}, seed {seed}", row.model, repr(recipe), out, make)
 
 
-def trained(table: str, row: str, data: Path, out: Path, task: str) -> Path:
+def trained(table: str, row: str, data: Path, out: Path, task: str, scale: float = 1.0) -> Path:
     """Checkpoint of a table's row (its first seed), trained where it is not yet.
 
     Args:
@@ -239,19 +295,17 @@ def trained(table: str, row: str, data: Path, out: Path, task: str) -> Path:
         data: a data set.
         out: folder of the pieces.
         task: registered task.
+        scale: share of the table's training steps.
     """
-    found = _row(table, row)
-    return _fit(found, found.seeds[0], data, task, row_folder(table, row, data, out, task))
+    (found,) = TABLES[table].choose([row])
+    folder = row_folder(table, row, data, out, task, scale)
+    return _fit(found.shorten(scale), found.seeds[0], data, task, folder)
 
 
-def row_folder(table: str, row: str, data: Path, out: Path, task: str) -> Path:
+def row_folder(table: str, row: str, data: Path, out: Path, task: str, scale: float = 1.0) -> Path:
     """Folder of a table's row (its first seed), named after all that decides it. Arguments as of :func:`trained`."""
-    found = _row(table, row)
-    return _piece(found, found.seeds[0], data, out, task).folder
-
-
-def _row(table: str, row: str) -> Row:
-    return look_up("row of the table", row, {r.name: r for r in TABLES[table].rows})
+    (found,) = TABLES[table].choose([row])
+    return _piece(found.shorten(scale), found.seeds[0], data, out, task).folder
 
 
 def _fit(row: Row, seed: int, data: Path, task: str, folder: Path) -> Path:

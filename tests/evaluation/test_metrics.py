@@ -65,10 +65,12 @@ def test_wilson_of_nothing_is_everything():
     assert wilson(0, 0) == (0.0, 1.0)
 
 
-def test_results_are_written_with_what_made_them(tmp_path):
+def test_results_are_written_with_what_made_them(tmp_path, monkeypatch):
     torch.set_num_threads(1)
+    monkeypatch.setattr("sys.argv", ["/somewhere/pwm_gym/__main__.py", "evaluate", "--members", "a b"])
     write_results(tmp_path / "deep" / "results.json", {"value": np.float32(0.5)})
     record = json.loads((tmp_path / "deep" / "results.json").read_text())
     assert record["value"] == 0.5
     assert {"command", "date", "commit", "machine"} <= set(record)
+    assert record["command"] == "pwm-gym evaluate --members 'a b'"
     assert record["machine"]["torch_threads"] == 1

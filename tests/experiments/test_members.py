@@ -49,6 +49,10 @@ def test_a_table_tells_every_mode_and_keeps_what_is_there(quick, data_folder, tm
     assert "picture" not in row["modes"]["open loop"]
     monkeypatch.setattr(table, "_planned", lambda *a: pytest.fail("made again"))  # nothing is to be run
     assert run_planning_table(TABLE, data_folder, tmp_path) == first
+    (row,) = run_planning_table(TABLE, data_folder, tmp_path, modes=["open loop"])["rows"]
+    assert row["modes"] == {"open loop": first["rows"][0]["modes"]["open loop"]}
+    with pytest.raises(UnknownNameError, match="unknown mode 'open'"):
+        run_planning_table(TABLE, data_folder, tmp_path, modes=["open"])
     json.dumps(first)
     drawn = run_planning_table(TABLE, data_folder, tmp_path, draw=partial(_draw_failures, tmp_path / "pictures"))
     names = [mode["picture"] for mode in drawn["rows"][0]["modes"].values()]

@@ -52,6 +52,20 @@ def test_a_changed_row_is_trained_anew(tiny, data_folder, tmp_path, monkeypatch)
     assert counts == [1, 1, 2]
 
 
+def test_rows_scale_and_seeds_choose_a_part_of_a_table(tiny, data_folder, tmp_path, monkeypatch):
+    monkeypatch.setitem(TABLES, "two", Table("", (tiny, replace(tiny, name="Two", episodes=4))))
+    (row,) = run_table("two", data_folder, tmp_path, rows=["Two"], scale=0.5, seeds=1)["rows"]
+    assert (row["row"], row["seeds"], row["sample_steps"], row["episodes"]) == ("Two", 1, 8, 4)
+    with pytest.raises(UnknownNameError, match="unknown row of the table 'Too'"):
+        run_table("two", data_folder, tmp_path, rows=["Too"])
+
+
+def test_a_shortened_row_is_another_piece(tiny, tmp_path):
+    folders = {tables._piece(tiny.shorten(scale), 0, tmp_path, tmp_path, "PickCube").folder for scale in (1.0, 0.5)}
+    assert len(folders) == 2
+    assert tiny.shorten(1e-6).training.phases == ((1, 1, 8),)  # at least one step
+
+
 def test_planned_rows_have_the_objects_asked_for(tiny, data_folder, tmp_path, monkeypatch):
     asked = []
     monkeypatch.setattr(tables, "check_objects", lambda task, objects: None)
