@@ -11,7 +11,7 @@ import torch
 from gymnasium import spaces
 from torch import Tensor
 
-from pwm_gym.costs import Cost, cost_info, get_cost, get_grasp, get_success
+from pwm_gym.costs import Cost, StagedCost, cost_info, get_cost, get_grasp, get_success
 from pwm_gym.errors import PwmGymError, SceneError, unknown_name
 from pwm_gym.robots import Control
 from pwm_gym.scene import Layout, PointState, RigidState, Scene, State
@@ -153,6 +153,8 @@ class Judgement:
     """Bool (B,)."""
     grasped: Tensor
     """Bool (B,)."""
+    stage: Tensor | None
+    """Stage (B,) of the task, where it is a sequence of stages."""
 
 
 class Rules:
@@ -168,13 +170,28 @@ class Rules:
         self.cost: Cost = get_cost(task.cost if cost is None else cost)
         self.grasp = get_grasp(task.grasp if grasp is None else grasp)
         self.success = get_success(task.success)
+        planned = get_cost(task.plan_cost)
+        staged = [c for c in (self.cost, planned) if isinstance(c, StagedCost)]
+        self.stages: StagedCost | None = staged[0] if staged else None
+
+    @property
+    def stage_names(self) -> tuple[str, ...]:
+        """Names of the stages of the cost, or else of the task's planning cost; empty where there are none."""
+        return () if self.stages is None else self.stages.stage_names
 
     @torch.no_grad()
-    def judge(self, state: State, action: Tensor, goal: Tensor) -> Judgement:
-        """Judge states (B,) that actions (B, A) led to, for goals (B, G)."""
+    def judge(self, state: State, action: Tensor, goal: Tensor, stage: Tensor | None = None) -> Judgement:
+        """Judge states (B,) that actions (B, A) led to, for goals (B, G).
+
+        ``stage`` (B,) is what a sequence of stages had come to before; None is its first one.
+        """
         points, info = cost_info(state, action, goal, self.grasp)
+        if self.stages is not None:
+            before = self.stages.begin(len(action), action.device) if stage is None else stage
+            stage = self.stages.advance(before, points, info)
+            info["stage"] = stage.clone()
         grasped = info["grasped"].clone()
         success = self.success(points, info)  # before a cost of the user's own, which may write into what it reads
         terms = self.cost.evaluate(points, info)
         reward = -torch.stack(list(terms.values())).sum(0)
-        return Judgement(reward, terms, success, grasped)
+        return Judgement(reward, terms, success, grasped, stage)

@@ -58,7 +58,8 @@ class ModelEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
     limit.
 
     ## Info
-    `success`, `grasped`, `cost_terms` (the cost's weighted terms by name), `reason`; from models that tell,
+    `success`, `grasped`, `cost_terms` (the cost's weighted terms by name), `reason`; of tasks that are sequences
+    of stages `stage`, the present one's name; from models that tell,
     `expected_error`: how far each entity's points may be from the truth by now, metres on average.
 
     ## Arguments

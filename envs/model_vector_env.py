@@ -126,6 +126,7 @@ class ModelVectorEnv(EzPickle, gym.vector.VectorEnv[dict[str, np.ndarray], np.nd
         self._assets: list[tuple[str, ...]] = [()] * num_envs
         self._elapsed = np.zeros(num_envs, np.int64)
         self._done = np.zeros(num_envs, bool)
+        self._stage: Tensor | None = None  # (B,), where the task is a sequence of stages
         self._renderer: SceneRenderer | None = None
 
     @property
@@ -185,7 +186,7 @@ class ModelVectorEnv(EzPickle, gym.vector.VectorEnv[dict[str, np.ndarray], np.nd
         mask = self._reset_mask(options.get("reset_mask"))
         self._seed(seed, mask)
         self._restart(mask, self._scenes(options.get("scene"), mask))
-        judgement = self.rules.judge(self.state, self._action, self._goal)
+        judgement = self._judge()
         return self._observation(), self._info(judgement, [""] * self.num_envs)
 
     def _seed(self, seed: int | Sequence[int | None] | None, mask: np.ndarray) -> None:
@@ -247,6 +248,8 @@ class ModelVectorEnv(EzPickle, gym.vector.VectorEnv[dict[str, np.ndarray], np.nd
             self._assets[i] = scene.assets
         self._goal = self._goal.index_copy(0, index, goals)
         self._action = self._action.index_copy(0, index, torch.as_tensor(actions, device=self.device))
+        if self._stage is not None:
+            self._stage = self._stage.index_fill(0, index, 0)
         self._elapsed[mask] = 0
         self._done[mask] = False
 
@@ -276,7 +279,7 @@ class ModelVectorEnv(EzPickle, gym.vector.VectorEnv[dict[str, np.ndarray], np.nd
             self._freeze(escaped)
         if restarted.any():
             self._restart(restarted, self._scenes(None, restarted))
-        judgement = self.rules.judge(self._state, self._action, self._goal)
+        judgement = self._judge()
         return self._finish(judgement, escaped.cpu().numpy() & ~restarted, restarted)
 
     def resume(self) -> None:
@@ -287,6 +290,11 @@ class ModelVectorEnv(EzPickle, gym.vector.VectorEnv[dict[str, np.ndarray], np.nd
         """Where a prediction left the bounds, keep finite values so that the returned ones can be clipped."""
         assert self._state is not None
         self._state = self._state.map(lambda x: torch.nan_to_num(x).clamp(-1e3, 1e3))
+
+    def _judge(self) -> Judgement:
+        judgement = self.rules.judge(self.state, self._action, self._goal, self._stage)
+        self._stage = judgement.stage
+        return judgement
 
     def _finish(self, judgement: Judgement, escaped: np.ndarray, restarted: np.ndarray) -> tuple[Any, ...]:
         """Ends, infos and, with SAME_STEP, the restarts of the step just made."""
@@ -309,7 +317,7 @@ class ModelVectorEnv(EzPickle, gym.vector.VectorEnv[dict[str, np.ndarray], np.nd
         final = {"final_obs": observation, "_final_obs": done, "final_info": info, "_final_info": done}
         self.final_state, self.final_goal = self._state, self._goal
         self._restart(done, self._scenes(None, done))
-        judgement = self.rules.judge(self.state, self._action, self._goal)
+        judgement = self._judge()
         fresh = self._info(judgement, [""] * self.num_envs)
         return self._observation(), {**fresh, **final}
 
@@ -337,6 +345,9 @@ class ModelVectorEnv(EzPickle, gym.vector.VectorEnv[dict[str, np.ndarray], np.nd
             "cost_terms": arrays(judgement.terms),
             "reason": np.array(reasons, dtype=object),
         }
+        if judgement.stage is not None:
+            names = np.array(self.rules.stage_names, dtype=object)
+            known["stage"] = names[judgement.stage.cpu().numpy()]
         error = expected_error(self.state)
         if error is not None:
             known["expected_error"] = arrays(dict(zip(self.state.layout.names, error.unbind(-1), strict=True)))

@@ -100,7 +100,8 @@ class SimEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
     The simulator's own success terminates; `gym.make` adds the time limit.
 
     ## Info
-    `success` (the simulator's), `grasped`, `cost_terms`, `reason`, `simulator_reward`, `simulator_grasped`;
+    `success` (the simulator's), `grasped`, `cost_terms`, `reason`, `simulator_reward`, `simulator_grasped`; of tasks
+    that are sequences of stages `stage`, the present one's name;
     with the "completed" observation `completion_error` (expected Chamfer distance of each object's
     completed cloud, metres) and `perception_seconds`.
 
@@ -144,6 +145,7 @@ class SimEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
         self._shown: Scene | None = None
         self._poses: deque[np.ndarray] = deque(maxlen=3)  # newest first
         self._action = np.array(self.task.control.rest(), np.float32)
+        self._stage: Tensor | None = None  # (1,), where the task is a sequence of stages
         self._renderer: SceneRenderer | None = None
 
     @property
@@ -187,6 +189,7 @@ class SimEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
                 raise unknown_name("reset option", key, ["scene"])
         scene = (options or {}).get("scene")
         bodies = self._start(seed) if scene is None else self._start_from(scene)
+        self._stage = None
         self._observation.reset(int(self.np_random.integers(2**31)), bodies)
         self._show()
         return self._observe(), self._info(self._judge(), self.simulator.outcome())
@@ -249,7 +252,9 @@ class SimEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
         self._shown = self._observation(self._now)
 
     def _judge(self) -> Judgement:
-        return self.rules.judge(self.state, torch.as_tensor(self._action)[None], self.goal)
+        judgement = self.rules.judge(self.state, torch.as_tensor(self._action)[None], self.goal, self._stage)
+        self._stage = judgement.stage
+        return judgement
 
     def _observe(self) -> dict[str, np.ndarray]:
         return {k: v[0].numpy() for k, v in observe(self.observed_state, self.goal).items()}
@@ -261,6 +266,7 @@ class SimEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
             "grasped": bool(judgement.grasped[0]),
             "cost_terms": {name: float(value[0]) for name, value in judgement.terms.items()},
             "reason": "",
+            **({} if judgement.stage is None else {"stage": self.rules.stage_names[int(judgement.stage[0])]}),
             "simulator_reward": outcome.reward,
             "simulator_grasped": outcome.grasped,
         }

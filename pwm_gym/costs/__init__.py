@@ -1,6 +1,6 @@
 """Point-cloud costs, success rules and grasp rules, by name."""
 
-from pwm_gym.costs import contacts, drawers, lids, motion, objects, terms
+from pwm_gym.costs import contacts, drawers, lids, motion, objects, sequences, terms
 from pwm_gym.costs.registry import (
     COSTS,
     GRASPS,
@@ -16,13 +16,18 @@ from pwm_gym.costs.registry import (
     register_success,
     register_terms,
 )
+from pwm_gym.costs.stages import FINISHED, STAGES_LEFT, Stage, StagedCost, register_stages
 
 __all__ = [
     "COSTS",
+    "FINISHED",
     "GRASPS",
+    "STAGES_LEFT",
     "SUCCESSES",
     "Cost",
     "Points",
+    "Stage",
+    "StagedCost",
     "contacts",
     "cost_info",
     "drawers",
@@ -34,7 +39,9 @@ __all__ = [
     "objects",
     "register_cost",
     "register_grasp",
+    "register_stages",
     "register_success",
     "register_terms",
+    "sequences",
     "terms",
 ]

@@ -18,6 +18,8 @@ from pwm_gym.sim.cabinet import DRAWER_FROM, DRAWER_TO, HANDLE, PLACE, STROKE, T
 __all__ = [
     "CABINET_DRAWER",
     "Drawer",
+    "across_handle",
+    "before_handle",
     "handle",
     "inside",
     "open_to",
@@ -108,6 +110,16 @@ def handle(drawer: Drawer) -> Place:
     return place
 
 
+def before_handle(drawer: Drawer, gap: float = 0.022) -> Place:
+    """Place at the handle's height, ``gap`` metres before its bar: from where fingers push it."""
+
+    def place(points: Points, info: Info) -> Tensor:
+        flat = _point(points, drawer, drawer.bar[0] - gap)
+        return torch.cat([flat[..., :2], points[drawer.name][..., 2:].amax(-2) - drawer.bar[1]], -1)
+
+    return place
+
+
 def spot(drawer: Drawer, name: str) -> Place:
     """Where an object's centre is when it stands in its place in the drawer."""
 
@@ -166,6 +178,16 @@ def opened(drawer: Drawer) -> Term:
 def reach(target: Place) -> Term:
     """Nearness of the tool to a place."""
     return nearness(tool, target)
+
+
+def across_handle(drawer: Drawer) -> Term:
+    """How far the fingers are turned from closing on the handle's bar: 0 across it, 1 along it."""
+
+    def term(points: Points, info: Info) -> Tensor:
+        turn = (contacts.fingers_axis(points) * _front(points, drawer)).sum((-2, -1))
+        return 1.0 - turn.abs()
+
+    return term
 
 
 def put_in(drawer: Drawer, name: str) -> Term:

@@ -6,6 +6,7 @@ The machine and the lid are each the same to the left and to the right, and stan
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import radians
 
 import torch
 from torch import Tensor
@@ -24,7 +25,12 @@ from pwm_gym.sim.coffee_machine import (
     TOWER_TOP,
 )
 
-__all__ = ["COFFEE_LID", "Lid", "angle", "holder", "placed", "seated", "shut", "shut_to"]
+__all__ = ["COFFEE_LID", "Lid", "angle", "behind", "holder", "placed", "seated", "shut", "shut_to"]
+
+
+_FALLS = radians(75.0)  # below this the lid falls shut by itself
+_BEHIND, _HIGH = 0.030, 0.060  # of the tool from the hinge, where it pushes the lid over
+_PRESSED = 0.03  # of the tool from the lid's end, where it presses it down
 
 
 @dataclass(frozen=True)
@@ -87,6 +93,18 @@ def angle(points: Points, lid: Lid) -> Tensor:
 def holder(lid: Lid) -> Place:
     """Where the middle of what stands in the holder is."""
     return lambda points, info: _point(points, lid, *lid.holder)
+
+
+def behind(lid: Lid) -> Place:
+    """From where the lid is shut: behind it while it stands, over its end once it falls by itself."""
+
+    def place(points: Points, info: Info) -> Tensor:
+        standing = (angle(points, lid) > _FALLS).unsqueeze(-1)
+        back = _point(points, lid, lid.hinge[0] + _BEHIND, lid.hinge[1] + _HIGH)
+        end = _point(points, lid, lid.hinge[0] - lid.length + _PRESSED, lid.hinge[1])
+        return torch.where(standing, back, end)
+
+    return place
 
 
 def seated(lid: Lid, name: str, beside: float, above: float) -> Term:

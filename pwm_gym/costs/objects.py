@@ -12,16 +12,18 @@ from pwm_gym.costs import contacts
 from pwm_gym.costs.contacts import Points
 from pwm_gym.costs.grips import finger_overlap, grip
 from pwm_gym.costs.motion import joint_speed, speed
-from pwm_gym.costs.terms import Info, Place, Term, middle, nearness, tool
+from pwm_gym.costs.terms import Info, Place, Term, closeness, middle, nearness, tool, way_from_above
 from pwm_gym.robots.speeds import JointSpeeds
 
 __all__ = [
     "approach",
     "carry",
+    "carry_onto",
     "disturbance",
     "finger_blocking",
     "grasped",
     "held",
+    "lift",
     "misalignment",
     "near",
     "place",
@@ -177,8 +179,27 @@ def carry(name: str, target: Place) -> Term:
     distance = _distance(name, target)
 
     def term(points: Points, info: Info) -> Tensor:
-        way = distance(points, info)
-        return _firmness(points, info, name) * (4.0 - 8.0 * way.clamp_max(0.4) - torch.tanh(way / 0.03))
+        return _firmness(points, info, name) * closeness(distance(points, info))
+
+    return term
+
+
+def carry_onto(name: str, target: Place, clearance: float) -> Term:
+    """As :func:`carry`, up to 5, by a way from above over what stands ``clearance`` metres higher around the place."""
+
+    def term(points: Points, info: Info) -> Tensor:
+        way = way_from_above(contacts.middle(points, name) - target(points, info), clearance)
+        return _firmness(points, info, name) * closeness(way, 5.0, 0.45)
+
+    return term
+
+
+def lift(name: str, height: float) -> Term:
+    """How high the held object's lowest point is, as a share of ``height`` metres over the ground: up to 1."""
+
+    def term(points: Points, info: Info) -> Tensor:
+        raised = points[name][..., 2].amin(-1) / height
+        return _firmness(points, info, name) * raised.clamp(0.0, 1.0)
 
     return term
 

@@ -3,16 +3,16 @@
 All three read ``(points, info)``: ``points[name]`` are an entity's world-frame points (B, n, 3) in metres, and ``info``
 holds ``goal`` (B, G), ``action`` (B, A), ``grasped`` (B,), ``velocity[name]`` (B, n, 3) in metres a step, ``joints``
 (B, 2, J) with the robot's positions and velocities a step (None where they are not known), and ``extra`` with
-``goal_pos`` (B, G).
+``goal_pos`` (B, G). Costs of long tasks also read ``info["stage"]`` (B,), :mod:`pwm_gym.costs.stages`.
 """
 
 from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
-from typing import Any, TypeVar
+from typing import Any, Self, TypeVar
 
 import torch
 from torch import Tensor
@@ -62,7 +62,7 @@ class Cost:
         """
         return {n: w * self._checked(n, f, points, info) for n, (w, f) in self.terms.items()}
 
-    def plus(self, terms: Mapping[str, tuple[float, Function]]) -> Cost:
+    def plus(self, terms: Mapping[str, tuple[float, Function]]) -> Self:
         """This cost with further weighted terms.
 
         Raises:
@@ -70,7 +70,7 @@ class Cost:
         """
         if taken := sorted({*terms} & {*self.terms}):
             raise ValueError(f"cost {self.name!r} has a term {taken[0]!r} already")
-        return Cost(self.name, {**self.terms, **terms})
+        return replace(self, terms={**self.terms, **terms})
 
     def _checked(self, name: str, function: Function, points: Points, info: Info) -> Tensor:
         batch = len(info["action"])

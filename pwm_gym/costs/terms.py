@@ -29,6 +29,7 @@ __all__ = [
     "carry",
     "carry_onto",
     "centre",
+    "closeness",
     "disturbance",
     "effort",
     "finger_blocking",
@@ -56,6 +57,7 @@ __all__ = [
     "success_bonus",
     "tool",
     "ungrasp",
+    "way_from_above",
 ]
 
 Info = Mapping[str, Any]
@@ -308,12 +310,12 @@ def carry(name: str, target: Place) -> Term:
     distance = _distance(name, target)
 
     def term(points: Points, info: Info) -> Tensor:
-        return contacts.firmness(points, info["action"], name) * _nearness(distance(points, info))
+        return contacts.firmness(points, info["action"], name) * closeness(distance(points, info))
 
     return term
 
 
-def _nearness(distance: Tensor, most: float = 4.0, farthest: float = 0.4) -> Tensor:
+def closeness(distance: Tensor, most: float = 4.0, farthest: float = 0.4) -> Tensor:
     """``most`` at no distance; it falls steeply within 3 cm, and by 8 a metre up to ``farthest`` metres."""
     return most - 8.0 * distance.clamp_max(farthest) - torch.tanh(distance / 0.03)
 
@@ -339,13 +341,22 @@ def carry_onto(name: str, target: Place, clearance: float = 0.02) -> Term:
     """
 
     def term(points: Points, info: Info) -> Tensor:
-        offset = contacts.centre(points, name) - target(points, info)
-        beside = offset[..., :2].norm(dim=-1)
-        height = offset[..., 2] - clearance * ((beside - 0.005) / 0.04).clamp(0, 1)
-        way = beside + torch.where(height < 0, -1.5 * height, 0.8 * height)
-        return contacts.firmness(points, info["action"], name) * _nearness(way, 5.0, 0.45)
+        way = way_from_above(contacts.centre(points, name) - target(points, info), clearance)
+        return contacts.firmness(points, info["action"], name) * closeness(way, 5.0, 0.45)
 
     return term
+
+
+def way_from_above(offset: Tensor, clearance: float) -> Tensor:
+    """Length (B,) of a way that comes to a place from above, metres.
+
+    Args:
+        offset: from the place (B, 3).
+        clearance: height over the place that it has to have 4.5 cm beside it; it falls to 0 above the place.
+    """
+    beside = offset[..., :2].norm(dim=-1)
+    height = offset[..., 2] - clearance * ((beside - 0.005) / 0.04).clamp(0, 1)
+    return beside + torch.where(height < 0, -1.5 * height, 0.8 * height)
 
 
 def _set_down(name: str, target: Place) -> Term:

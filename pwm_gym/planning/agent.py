@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from pwm_gym.costs import Cost, cost_info, get_cost, get_grasp
+from pwm_gym.costs import Cost, StagedCost, cost_info, get_cost, get_grasp
 from pwm_gym.costs.registry import Function
 from pwm_gym.dynamics.model import WorldModel
 from pwm_gym.dynamics.protocols import MeetsScenes
@@ -55,6 +55,8 @@ class Agent:
         self.objective = RolloutObjective(model, self.cost, get_grasp(self.task.grasp), caution=caution)
         self._generator = torch.Generator(device).manual_seed(seed)
         self._state: State | None = None
+        self._seen_stage: Tensor | None = None  # (B,) of a staged cost, where it last looked
+        self._stage: Tensor | None = None  # (B,) in the present state
         self._goal = torch.empty(0)
         self._action: Tensor | None = None  # (B, A), that led to the state, where it is known
         self._one = True  # whether it looked at one scene, not at a sequence of them
@@ -63,7 +65,7 @@ class Agent:
         """Forget the last plan and the last scene, and reseed the noise."""
         self.planner.reset()
         self._generator.manual_seed(seed)
-        self._state = self._action = None
+        self._state = self._action = self._stage = self._seen_stage = None
 
     def look(self, scene: Scene | Sequence[Scene]) -> None:
         """Go on from a scene, or from several at once, which may have entities besides the task's.
@@ -84,6 +86,24 @@ class Agent:
         self._action = None
         if len(actions) == len(scenes):
             self._action = torch.as_tensor(np.stack(actions), dtype=torch.float32, device=self.device)
+        self._seen_stage = self._stage = self._advanced(self._seen_stage)
+
+    def _advanced(self, stage: Tensor | None) -> Tensor | None:
+        """Stage (B,) of a staged cost in the present state, that was ``stage`` before; None is its first."""
+        if not isinstance(self.cost, StagedCost):
+            return None
+        size = len(self._goal)
+        if stage is None or len(stage) != size:
+            stage = self.cost.begin(size, self.device)
+        action = self._goal.new_zeros(size, self.task.action_size) if self._action is None else self._action
+        return self.cost.advance(stage, *cost_info(self._present(), action, self._goal, self.objective.grasp))
+
+    @property
+    def stage(self) -> tuple[str, ...]:
+        """Name of the stage of each scene, where the cost is a sequence of stages; empty elsewhere."""
+        if not isinstance(self.cost, StagedCost) or self._stage is None:
+            return ()
+        return tuple(self.cost.stage_names[int(k)] for k in self._stage)
 
     def _check(self, scene: Scene) -> None:
         wanted, size = self.task.layout.names, self.task.action_size
@@ -105,7 +125,7 @@ class Agent:
         """
         if scene is not None:
             self.look(scene)
-        objective = self.objective.begin(self._present(), self._goal)
+        objective = self.objective.begin(self._present(), self._goal, self._stage)
         plans = self.planner.plan(objective, self._generator, len(self._goal), self._action).cpu().numpy()
         return plans[0].copy() if self._one else plans.copy()  # the planner keeps its own
 
@@ -120,12 +140,13 @@ class Agent:
         actions = command[None] if self._one else command
         self._state = self.model.step(self._present(), actions)
         self._action = actions
+        self._stage = self._advanced(self._stage)
         return self._state
 
     @torch.no_grad()
     def terms(self, states: State, actions: np.ndarray) -> dict[str, np.ndarray]:
-        """The planning cost's weighted terms, each (T,), in states (T,) after actions (T, A)."""
-        points, info = self._seen(states, actions, self.objective.grasp)
+        """The planning cost's weighted terms, each (T,), in states (T,) after actions (T, A), from the first on."""
+        points, info = self._seen(states, actions, self.cost, self.objective.grasp)
         return {name: value.cpu().numpy() for name, value in self.cost.evaluate(points, info).items()}
 
     @torch.no_grad()
@@ -135,18 +156,24 @@ class Agent:
         """Rewards (T,) in states (T,) after actions (T, A).
 
         Args:
-            states: one after the other.
+            states: one after the other, the first of an episode first.
             actions: that led there.
             cost: cost whose negative they are; None takes the task's.
             grasp: grasp rule that the cost is told of; None takes the task's.
         """
-        points, info = self._seen(states, actions, grasp or self.objective.grasp)
-        return -(cost or get_cost(self.task.cost))(points, info).cpu().numpy()
+        chosen = cost or get_cost(self.task.cost)
+        points, info = self._seen(states, actions, chosen, grasp or self.objective.grasp)
+        return -chosen(points, info).cpu().numpy()
 
-    def _seen(self, states: State, actions: np.ndarray, grasp: Function) -> tuple[Mapping[str, Tensor], dict[str, Any]]:
-        """What a cost reads of states (T,) after actions (T, A), for the first goal."""
+    def _seen(
+        self, states: State, actions: np.ndarray, cost: Cost, grasp: Function
+    ) -> tuple[Mapping[str, Tensor], dict[str, Any]]:
+        """What ``cost`` reads of states (T,) after actions (T, A), for the first goal."""
         command = torch.as_tensor(actions, device=self.device)
-        return cost_info(states, command, self._goal[:1].expand(len(command), -1), grasp)
+        points, info = cost_info(states, command, self._goal[:1].expand(len(command), -1), grasp)
+        if isinstance(cost, StagedCost):
+            info["stage"] = cost.along(cost.begin(1, self.device), points, info, len(command)).squeeze(0)
+        return points, info
 
     def describe(self) -> dict[str, Any]:
         """What it plans with: model, planner and cost by name."""

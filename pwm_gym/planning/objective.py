@@ -7,7 +7,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from pwm_gym.costs import Cost, cost_info
+from pwm_gym.costs import Cost, StagedCost, cost_info
 from pwm_gym.costs.registry import Function
 from pwm_gym.dynamics.model import WorldModel, rollout
 from pwm_gym.dynamics.protocols import expected_error
@@ -42,9 +42,10 @@ class RolloutObjective:
         self.caution = caution
         self._state: State | None = None
         self._goal = torch.empty(0)
+        self._stage: Tensor | None = None
 
-    def begin(self, state: State, goal: Tensor) -> RolloutObjective:
-        """Plan from ``state`` (B,) towards ``goal`` (B, G).
+    def begin(self, state: State, goal: Tensor, stage: Tensor | None = None) -> RolloutObjective:
+        """Plan from ``state`` (B,) towards ``goal`` (B, G), in ``stage`` (B,) of a staged cost; None is its first.
 
         Raises:
             PwmGymError: caution is asked for with a model that does not tell its expected error.
@@ -57,7 +58,7 @@ class RolloutObjective:
             state = state if self.caution else replace(state, error=None)
             if self.points is not None:
                 state = state.coarsen(state.layout.truncate(self.points))
-        self._state, self._goal = state, goal
+        self._state, self._goal, self._stage = state, goal, stage
         return self
 
     def __call__(self, actions: Tensor) -> Tensor:
@@ -76,6 +77,9 @@ class RolloutObjective:
         flat = states.map(lambda x: x.flatten(0, 1))
         goal = _repeat(self._goal, samples * horizon)
         points, info = cost_info(flat, actions.reshape(-1, size), goal, self.grasp)
+        if isinstance(self.cost, StagedCost):
+            first = self.cost.begin(batch, goal.device) if self._stage is None else self._stage
+            info["stage"] = self.cost.along(_repeat(first, samples), points, info, horizon).flatten()
         costs = self.cost(points, info)
         if self.caution and (error := expected_error(flat)) is not None:
             costs = costs + self.caution * error.sum(-1)

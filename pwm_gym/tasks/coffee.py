@@ -9,7 +9,17 @@ from math import radians
 import numpy as np
 from torch import Tensor
 
-from pwm_gym.costs import Points, lids, objects, register_grasp, register_success, register_terms, terms
+from pwm_gym.costs import (
+    Points,
+    lids,
+    objects,
+    register_grasp,
+    register_stages,
+    register_success,
+    register_terms,
+    sequences,
+    terms,
+)
 from pwm_gym.costs.motion import joint_speed
 from pwm_gym.robots.panda import JOINT_SPEEDS, PANDA, layout
 from pwm_gym.scene import FIXED
@@ -59,13 +69,10 @@ _REWARD = terms.stages(  # minus the simulator's normalised shaped reward, whose
     }
 )
 register_terms("coffee", _REWARD)
-register_terms(
+register_stages(
     "coffee_plan",
-    {
-        **{name: (10.0 * weight, term) for name, (weight, term) in _REWARD.items()},
-        "ground_contact": (1.0, terms.ground_contact),
-        "effort": (1.0, terms.effort),
-    },
+    [sequences.insert("pod", _LID, beside=0.006, above=0.008), sequences.close_lid(_LID, _SHUT)],
+    {"ground_contact": (1.0, terms.ground_contact), "effort": (1.0, terms.effort)},
 )
 
 

@@ -8,7 +8,17 @@ from dataclasses import dataclass
 import numpy as np
 from torch import Tensor
 
-from pwm_gym.costs import Points, drawers, objects, register_grasp, register_success, register_terms, terms
+from pwm_gym.costs import (
+    Points,
+    drawers,
+    objects,
+    register_grasp,
+    register_stages,
+    register_success,
+    register_terms,
+    sequences,
+    terms,
+)
 from pwm_gym.costs.motion import joint_speed
 from pwm_gym.errors import PwmGymError
 from pwm_gym.robots.panda import JOINT_SPEEDS, PANDA, layout
@@ -62,13 +72,14 @@ _REWARD = terms.stages(  # minus the simulator's normalised shaped reward, whose
     }
 )
 register_terms("mug_cleanup", _REWARD)
-register_terms(
+register_stages(
     "mug_cleanup_plan",
-    {
-        **{name: (10.0 * weight, term) for name, (weight, term) in _REWARD.items()},
-        "ground_contact": (1.0, terms.ground_contact),
-        "effort": (1.0, terms.effort),
-    },
+    [
+        sequences.open_drawer(_DRAWER, _OPEN),
+        sequences.put_in("mug", _DRAWER, edge=0.025, height=0.014),
+        sequences.close_drawer(_DRAWER, _SHUT),
+    ],
+    {"ground_contact": (1.0, terms.ground_contact), "effort": (1.0, terms.effort)},
 )
 
 

@@ -79,13 +79,33 @@ def test_clouds_tell_the_lids_angle(episode):
     torch.testing.assert_close(lids.angle(points, lids.COFFEE_LID), truth, atol=np.radians(3.0), rtol=0)
 
 
-def test_the_planning_cost_falls_along_a_demonstration_and_has_gradients(episode):
-    _, (points, info), _ = episode
+def test_a_demonstration_goes_through_the_stages_of_the_planning_cost_which_falls_and_has_gradients(episode):
+    _, (points, info), outcomes = episode
+    cost = get_cost(TASK.plan_cost)
+    stage = cost.along(cost.begin(1), points, info, len(outcomes)).squeeze(0)
+    assert cost.stage_names == ("place pod at machine", "close lid", "finished")
+    assert [int((stage == k).sum()) > 20 for k in range(2)] == [True] * 2 and stage[-1] == 2
     leaves = {name: points[name].clone().requires_grad_() for name in points}
-    cost = get_cost(TASK.plan_cost)(leaves, info)
-    cost.sum().backward()
+    values = cost(leaves, {**info, "stage": stage})
+    values.sum().backward()
     assert all(leaves[name].grad.isfinite().all() and leaves[name].grad.any() for name in ("lid", "pod", "hand"))
-    assert cost[-1] < cost[-20] < cost[0]
+    for k in range(2):
+        first, *_, last = values.detach()[stage == k].split(10)
+        assert last.mean() < first.mean(), cost.stage_names[k]
+    assert values[stage == 2].max() < values[stage < 2].min()
+
+
+def test_the_twin_tells_the_stage_and_a_reset_begins_anew():
+    with gym.make("pwm/CoffeeSim-v0", disable_env_checker=True) as env:
+        base = env.unwrapped
+        _, info = base.reset(seed=seed_range("test", 1)[0])
+        assert info["stage"] == "place pod at machine"
+        expert, told = TASK.expert(np.random.default_rng(0)), []
+        while not told or (told[-1] == "place pod at machine" and len(told) < LIMIT):
+            *_, info = base.step(expert.act(base.simulator.poses(), base.simulator.goal()))
+            told.append(info["stage"])
+        assert told[-1] == "close lid"
+        assert base.reset(seed=1)[1]["stage"] == "place pod at machine"
 
 
 def test_the_twin_is_an_environment():

@@ -1,5 +1,3 @@
-from itertools import pairwise
-
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -107,14 +105,20 @@ def test_clouds_tell_how_far_the_drawer_is_open(episode, points):
     np.testing.assert_allclose(found, true_openings(some), atol=2e-3)
 
 
-def test_the_planning_cost_falls_along_a_demonstration_and_has_gradients(episode):
-    _, (points, info), _ = episode
+def test_a_demonstration_goes_through_the_stages_of_the_planning_cost_which_falls_and_has_gradients(episode):
+    _, (points, info), outcomes = episode
+    cost = get_cost(TASK.plan_cost)
+    stage = cost.along(cost.begin(1), points, info, len(outcomes)).squeeze(0)
+    assert cost.stage_names == ("open drawer", "place mug at drawer", "close drawer", "finished")
+    assert [int((stage == k).sum()) > 20 for k in range(3)] == [True] * 3 and stage[-1] == 3
     leaves = {name: points[name].clone().requires_grad_() for name in points}
-    cost = get_cost(TASK.plan_cost)(leaves, info)
-    cost.sum().backward()
+    values = cost(leaves, {**info, "stage": stage})
+    values.sum().backward()
     assert all(leaves[name].grad.isfinite().all() and leaves[name].grad.any() for name in ("drawer", "mug", "hand"))
-    quarters = cost.detach().split(len(cost) // 4)
-    assert all(later.mean() < earlier.mean() for earlier, later in pairwise(quarters[:4]))
+    for k in range(3):
+        first, *_, last = values.detach()[stage == k].split(10)
+        assert last.mean() < first.mean(), cost.stage_names[k]
+    assert values[stage == 3].max() < values[stage < 3].min()
 
 
 def test_the_twin_is_an_environment():

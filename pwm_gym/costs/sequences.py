@@ -1,0 +1,156 @@
+"""Stages of long tasks for an arm with a parallel gripper, with parameters: a task is a sequence of them.
+
+Lengths are in metres, angles in radians. Each stage ends by a rule of its own, most of which are also what a
+simulator's reward or success asks for.
+
+Example:
+    >>> from pwm_gym.costs import drawers, sequences
+    >>> stage = sequences.open_drawer(drawers.CABINET_DRAWER, 0.12)
+    >>> stage.name
+    'open drawer'
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from pwm_gym.costs import contacts, drawers, lids, objects
+from pwm_gym.costs.contacts import Points
+from pwm_gym.costs.drawers import Drawer
+from pwm_gym.costs.lids import Lid
+from pwm_gym.costs.registry import Function
+from pwm_gym.costs.stages import Stage
+from pwm_gym.costs.terms import Info, Place, Term, tool, way_from_above
+
+__all__ = ["close_drawer", "close_lid", "insert", "open_drawer", "place", "put_in", "take"]
+
+_AT_PLACE = 0.02  # metres from a handle within which the fingers may shut
+_MOVED = 8.0  # weight of the whole way of a drawer or a lid
+
+
+def open_drawer(drawer: Drawer, least: float) -> Stage:
+    """Close the fingers on the handle's bar from above, and pull until the drawer is open by ``least``."""
+    bar = drawers.handle(drawer)
+    return Stage(
+        f"open {drawer.name}",
+        {
+            "approach": (1.5, _approach(bar, clearance=0.04)),
+            "misalignment": (2.0, drawers.across_handle(drawer)),
+            "premature_close": (4.0, _shut_off(bar)),
+            "loose": (0.5, _open_at(bar)),
+            "opened": (-_MOVED, drawers.opened(drawer)),
+        },
+        drawers.open_to(drawer, least),
+    )
+
+
+def close_drawer(drawer: Drawer, most: float) -> Stage:
+    """Go before the handle, and push until the drawer is open by ``most`` at most."""
+    return Stage(
+        f"close {drawer.name}",
+        {
+            "approach": (1.5, _approach(drawers.before_handle(drawer), clearance=0.05)),
+            "opened": (_MOVED, drawers.opened(drawer)),
+        },
+        drawers.shut_to(drawer, most),
+    )
+
+
+def take(name: str, height: float, until: Term | None = None) -> Stage:
+    """Hold an object, and lift it until all of it is ``height`` over the ground.
+
+    Args:
+        name: the object.
+        height: of its lowest point.
+        until: rule that ends the stage, too: the object is where it belongs already.
+    """
+    held = objects.held(name)
+
+    def lifted(points: Points, info: Info) -> Tensor:
+        over = held(points, info) & (points[name][..., 2].amin(-1) >= height)
+        return over if until is None else over | until(points, info)
+
+    return Stage(f"take {name}", {**_grasp(name), "lift": (-5.0, objects.lift(name, height))}, lifted)
+
+
+def place(name: str, onto: str, target: Place, arrived: Term, clearance: float = 0.02) -> Stage:
+    """Hold an object, carry it from above to a place, and let it go.
+
+    Args:
+        name: the object.
+        onto: what the place belongs to, for the stage's name.
+        target: where the middle of its extents shall be.
+        arrived: rule that it is there; the stage ends when it is not held any more, either.
+        clearance: height over the place at which it is carried.
+    """
+    held = objects.held(name)
+
+    def done(points: Points, info: Info) -> Tensor:
+        return arrived(points, info) & ~held(points, info)
+
+    terms = {**_grasp(name), "carry": (-2.0, objects.carry_onto(name, target, clearance))}
+    return Stage(f"place {name} at {onto}", {**terms, "hold_on": (2.0, _both(arrived, held))}, done)
+
+
+def put_in(name: str, drawer: Drawer, edge: float, height: float) -> Stage:
+    """Put an object into an open drawer; ``edge`` and ``height`` as of :func:`pwm_gym.costs.drawers.inside`."""
+    inside = drawers.inside(drawer, name, edge, height)
+    return place(name, drawer.name, drawers.spot(drawer, name), inside, clearance=0.08)
+
+
+def insert(name: str, lid: Lid, beside: float, above: float) -> Stage:
+    """Drop an object into a machine's holder; ``beside`` and ``above`` as of :func:`pwm_gym.costs.lids.seated`."""
+    return place(name, lid.machine, lids.holder(lid), lids.seated(lid, name, beside, above), clearance=0.05)
+
+
+def close_lid(lid: Lid, most: float) -> Stage:
+    """Push a standing lid over from behind, until it is open by ``most`` at most."""
+    shut = lids.shut(lid)
+    return Stage(
+        f"close {lid.name}",
+        {"approach": (1.5, _approach(lids.behind(lid), clearance=0.09)), "shut": (-_MOVED, shut)},
+        lids.shut_to(lid, most),
+    )
+
+
+def _grasp(name: str) -> dict[str, tuple[float, Function]]:
+    """Terms of a grasp from above anywhere on an object."""
+    return {
+        "approach": (1.5, objects.approach(name)),
+        "premature_close": (4.0, objects.premature_close(name)),
+        "finger_blocking": (3.0, objects.finger_blocking(name)),
+        "misalignment": (2.0, objects.misalignment(name)),
+        "disturbance": (0.5, objects.disturbance(name)),
+    }
+
+
+def _approach(target: Place, clearance: float) -> Term:
+    """Way of the tool to a place from above, sharper when near."""
+
+    def term(points: Points, info: Info) -> Tensor:
+        way = way_from_above(tool(points, info) - target(points, info), clearance)
+        return 5.0 * way + torch.tanh(way / 0.02)
+
+    return term
+
+
+def _off(target: Place, points: Points, info: Info) -> Tensor:
+    """Soft bool (B,): the tool is not at a place."""
+    distance = (contacts.tool_centre(points) - target(points, info)).norm(dim=-1)
+    return torch.sigmoid((distance - _AT_PLACE) / 0.003)
+
+
+def _shut_off(target: Place) -> Term:
+    """1 where the gripper is told to shut away from a place."""
+    return lambda points, info: (info["action"][..., -1] < 0) * _off(target, points, info)
+
+
+def _open_at(target: Place) -> Term:
+    """1 where the gripper is told to open at a place."""
+    return lambda points, info: (info["action"][..., -1] >= 0) * (1.0 - _off(target, points, info))
+
+
+def _both(first: Term, second: Term) -> Term:
+    """1 where both rules hold."""
+    return lambda points, info: (first(points, info) & second(points, info)).float()
