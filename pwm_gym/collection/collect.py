@@ -11,6 +11,7 @@ import numpy as np
 from tqdm import tqdm
 
 from pwm_gym.collection.behaviours import Behaviour, Demonstration, OnPolicy, Practice
+from pwm_gym.collection.practice import PRACTICE_STEPS
 from pwm_gym.data.dataset import FORMAT, asset_path, read_header, save_asset
 from pwm_gym.data.episodes import FORMAT as EPISODES
 from pwm_gym.data.episodes import KINDS, Episode, read_shard, write_shard
@@ -28,7 +29,6 @@ from pwm_gym.workers import work_through
 __all__ = ["CollectConfig", "collect", "record_episode"]
 
 _PATIENCE = 1.8  # of an expert's usual length, after which a demonstration that has not succeeded ends
-_PRACTICE_STEPS = 80
 _PLANNED_STEPS = 60
 _KINDS = ("demonstration", "practice", "on_policy")
 
@@ -188,7 +188,7 @@ def _collect_shard(job: _Job) -> int:
     simulator = _SIMULATORS[key]
 
     longest = round(_PATIENCE * task.expert_steps)
-    limits = {"demonstration": longest, "practice": _PRACTICE_STEPS, "on_policy": _PLANNED_STEPS}
+    limits = {"demonstration": longest, "practice": PRACTICE_STEPS, "on_policy": _PLANNED_STEPS}
     behaviour = _behaviours(job, task)
     episodes = []
     for seed in job.seeds:

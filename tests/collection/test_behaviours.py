@@ -213,3 +213,20 @@ def test_a_simulator_that_cannot_place_bodies_starts_as_it_is():
 def test_a_switch_comes_within_the_experts_length():
     steps = [Demonstration(STACK, np.random.default_rng(s), randomise=1.0).switch for s in range(500)]
     assert 90 < max(steps) < STACK.expert_steps and min(steps) < 5
+
+
+@pytest.mark.parametrize(("length", "begun"), [(240, True), (99, False)])
+def test_practice_of_a_long_task_starts_anywhere_along_the_experts_way(length, begun):
+    class Counting(Still):
+        steps = 0
+
+        def step(self, action):
+            Counting.steps += 1
+
+    task, counts = replace(TASK, expert_steps=length), []
+    for seed in range(40):
+        Counting.steps = 0
+        Practice(task, np.random.default_rng(seed), unusual=0.0).start(Counting())
+        counts.append(Counting.steps)
+    share = np.mean(np.array(counts) > 0)
+    assert (0.7 < share < 0.97 and max(counts) > 200 and max(counts) < length) if begun else share == 0
