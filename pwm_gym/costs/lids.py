@@ -19,13 +19,14 @@ from pwm_gym.sim.coffee_machine import (
     LID_JOINT,
     LID_LENGTH,
     MACHINE_TO,
+    MUG_AHEAD,
     OPEN_ANGLE,
     POD_HEIGHT,
     RIM,
     TOWER_TOP,
 )
 
-__all__ = ["COFFEE_LID", "Lid", "angle", "behind", "holder", "placed", "seated", "shut", "shut_to"]
+__all__ = ["COFFEE_LID", "Lid", "angle", "before", "behind", "holder", "placed", "seated", "shut", "shut_to"]
 
 
 _FALLS = radians(75.0)  # below this the lid falls shut by itself
@@ -45,6 +46,8 @@ class Lid:
     """Of the hinge: behind the foremost point, and over the lowest."""
     holder: tuple[float, float]
     """The same of the middle of what stands in the holder."""
+    mug: float
+    """Of where a mug stands: before the holder."""
     back: float
     """Height from which all that there is stands at the back."""
     name: str = "lid"
@@ -56,6 +59,7 @@ COFFEE_LID = Lid(
     length=LID_LENGTH,
     hinge=(MACHINE_TO - LID_JOINT.origin[0], LID_JOINT.origin[2]),
     holder=(MACHINE_TO, HOLDER_FLOOR + 0.5 * POD_HEIGHT),
+    mug=MUG_AHEAD,
     back=0.5 * (TOWER_TOP + RIM + 0.0125),
 )
 """Of :mod:`pwm_gym.sim.coffee_machine`."""
@@ -93,6 +97,17 @@ def angle(points: Points, lid: Lid) -> Tensor:
 def holder(lid: Lid) -> Place:
     """Where the middle of what stands in the holder is."""
     return lambda points, info: _point(points, lid, *lid.holder)
+
+
+def before(lid: Lid, name: str) -> Place:
+    """Where the mean of an object's points is when it stands before the machine, where a mug belongs."""
+
+    def place(points: Points, info: Info) -> Tensor:
+        flat = _point(points, lid, lid.holder[0] - lid.mug, 0.0)
+        height = contacts.centre(points, name)[..., 2] - points[name][..., 2].amin(-1)
+        return torch.cat([flat[..., :2], flat[..., 2:] + height.unsqueeze(-1)], -1)
+
+    return place
 
 
 def behind(lid: Lid) -> Place:

@@ -185,10 +185,10 @@ def carry(name: str, target: Place) -> Term:
 
 
 def carry_onto(name: str, target: Place, clearance: float) -> Term:
-    """As :func:`carry`, up to 5, by a way from above over what stands ``clearance`` metres higher around the place."""
+    """As :func:`carry`, up to 5, of the mean of the object's points, from ``clearance`` metres above the place."""
 
     def term(points: Points, info: Info) -> Tensor:
-        way = way_from_above(contacts.middle(points, name) - target(points, info), clearance)
+        way = way_from_above(contacts.centre(points, name) - target(points, info), clearance)
         return _firmness(points, info, name) * closeness(way, 5.0, 0.45)
 
     return term

@@ -80,7 +80,7 @@ def place(name: str, onto: str, target: Place, arrived: Term, clearance: float =
     Args:
         name: the object.
         onto: what the place belongs to, for the stage's name.
-        target: where the middle of its extents shall be.
+        target: where the mean of its points shall be.
         arrived: rule that it is there; the stage ends when it is not held any more, either.
         clearance: height over the place at which it is carried.
     """

@@ -19,6 +19,7 @@ __all__ = [
     "MACHINE",
     "MACHINE_FROM",
     "MACHINE_TO",
+    "MUG_AHEAD",
     "OPEN_ANGLE",
     "POD",
     "POD_HEIGHT",
@@ -35,6 +36,8 @@ HOLDER_FLOOR = RIM - 0.026
 OPEN_ANGLE = math.radians(105)
 """Of the lid, which its weight then keeps open."""
 LID_LENGTH = 0.085
+MUG_AHEAD = 0.175
+"""Where a mug stands, before the holder's axis: under the holder there is no room for a hand."""
 
 _CLEARANCE = 0.003  # between pod and holder
 _SIDES = 16

@@ -6,9 +6,11 @@ from pwm_gym.skills.clean_up import CleanUp
 from pwm_gym.skills.grasp import TopGrasp
 from pwm_gym.skills.motion import downward_turn, drive, servo, side_yaw, tool_pose, yaw_error
 from pwm_gym.skills.object_grasps import Grasp, ObjectGrasps, find_grasps
+from pwm_gym.skills.open_drawer import OpenDrawer
 from pwm_gym.skills.pick import PickObject
 from pwm_gym.skills.pinch import Pinch
 from pwm_gym.skills.place import Place
+from pwm_gym.skills.prepare import Prepare
 from pwm_gym.skills.push import Push
 
 __all__ = [
@@ -17,9 +19,11 @@ __all__ = [
     "CleanUp",
     "Grasp",
     "ObjectGrasps",
+    "OpenDrawer",
     "PickObject",
     "Pinch",
     "Place",
+    "Prepare",
     "Push",
     "TopGrasp",
     "downward_turn",

@@ -3,7 +3,11 @@
 from pwm_gym.tasks import pick_cube, pick_ycb, stack_cube
 
 # isort: split
-from pwm_gym.tasks import coffee, mug_cleanup  # after those: the order of registration is that of tables
+from pwm_gym.tasks import (
+    coffee,
+    coffee_preparation,
+    mug_cleanup,
+)  # after those: the order of registration is that of tables
 from pwm_gym.tasks.registry import TASKS, Expert, Task, get_task, register_task
 
 __all__ = [
@@ -11,6 +15,7 @@ __all__ = [
     "Expert",
     "Task",
     "coffee",
+    "coffee_preparation",
     "get_task",
     "mug_cleanup",
     "pick_cube",

@@ -28,15 +28,17 @@ from pwm_gym.sim.coffee_machine import LID_JOINT
 from pwm_gym.skills import Brew
 from pwm_gym.tasks.registry import Task, register_task
 
-__all__ = ["COFFEE", "CoffeeExpert"]
+__all__ = ["COFFEE", "SHUT", "CoffeeExpert"]
 
-_SHUT, _STATIC = radians(5.0), 0.2  # radians of the lid, and rad/s: the simulator's thresholds
+SHUT = radians(5.0)
+"""Angle of the lid, at the most, that counts as shut: the simulator's threshold."""
+_STATIC = 0.2  # rad/s: the simulator's threshold
 _JOINTS = {"machine": FIXED, "lid": LID_JOINT}
 _LAYOUT = layout({"machine": 1408, "lid": 640, "pod": 512}, points=512, joints=_JOINTS)
 _LID = lids.COFFEE_LID
 _held = terms.pinch("pod")
 _seated = lids.seated(_LID, "pod", beside=0.006, above=0.008)
-_is_shut = lids.shut_to(_LID, _SHUT)
+_is_shut = lids.shut_to(_LID, SHUT)
 register_grasp("coffee")(_held)
 
 
@@ -71,7 +73,7 @@ _REWARD = terms.stages(  # minus the simulator's normalised shaped reward, whose
 register_terms("coffee", _REWARD)
 register_stages(
     "coffee_plan",
-    [sequences.insert("pod", _LID, beside=0.006, above=0.008), sequences.close_lid(_LID, _SHUT)],
+    [sequences.insert("pod", _LID, beside=0.006, above=0.008), sequences.close_lid(_LID, SHUT)],
     {"ground_contact": (1.0, terms.ground_contact), "effort": (1.0, terms.effort)},
 )
 

@@ -29,15 +29,17 @@ from pwm_gym.sim.mugs import get_mug
 from pwm_gym.skills import CleanUp
 from pwm_gym.tasks.registry import Task, register_task
 
-__all__ = ["MUG_CLEANUP", "MugCleanupExpert"]
+__all__ = ["MUG_CLEANUP", "OPEN", "MugCleanupExpert"]
 
-_OPEN, _SHUT, _STATIC = 0.12, 0.008, 0.2  # metres of the drawer's way, and rad/s: the simulator's thresholds
+OPEN = 0.12
+"""Metres of the drawer's way from which it counts as open: the simulator's threshold."""
+_SHUT, _STATIC = 0.008, 0.2  # metres, and rad/s: the simulator's thresholds
 _JOINTS = {"cabinet": FIXED, "drawer": DRAWER_JOINT}
 _LAYOUT = layout({"cabinet": 2560, "drawer": 2560, "mug": 1536}, points=512, joints=_JOINTS)
 _DRAWER = drawers.CABINET_DRAWER
 _held = objects.held("mug")
 _inside = drawers.inside(_DRAWER, "mug", edge=0.025, height=0.014)
-_is_open = drawers.open_to(_DRAWER, _OPEN)
+_is_open = drawers.open_to(_DRAWER, OPEN)
 _is_shut = drawers.shut_to(_DRAWER, _SHUT)
 register_grasp("mug_cleanup")(_held)  # by the rim, far from the mug's centre
 
@@ -75,7 +77,7 @@ register_terms("mug_cleanup", _REWARD)
 register_stages(
     "mug_cleanup_plan",
     [
-        sequences.open_drawer(_DRAWER, _OPEN),
+        sequences.open_drawer(_DRAWER, OPEN),
         sequences.put_in("mug", _DRAWER, edge=0.025, height=0.014),
         sequences.close_drawer(_DRAWER, _SHUT),
     ],

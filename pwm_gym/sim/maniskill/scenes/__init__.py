@@ -11,6 +11,7 @@ from pwm_gym.sim.maniskill.headless import allow_headless
 allow_headless()  # before ManiSkill's modules hold the classes that it may have to replace
 
 from pwm_gym.sim.maniskill.scenes.coffee import CoffeeEnv  # noqa: E402
+from pwm_gym.sim.maniskill.scenes.coffee_preparation import CoffeePreparationEnv  # noqa: E402
 from pwm_gym.sim.maniskill.scenes.mug_cleanup import MugChoice, MugCleanupEnv  # noqa: E402
 
-__all__ = ["CoffeeEnv", "MugChoice", "MugCleanupEnv"]
+__all__ = ["CoffeeEnv", "CoffeePreparationEnv", "MugChoice", "MugCleanupEnv"]

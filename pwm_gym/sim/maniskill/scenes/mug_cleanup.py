@@ -5,18 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
 import sapien
 import torch
 from mani_skill.envs.sapien_env import BaseEnv
 from mani_skill.sensors.camera import CameraConfig
 from mani_skill.utils.registration import register_env
 from mani_skill.utils.scene_builder.table import TableSceneBuilder
-from mani_skill.utils.structs import Actor, Pose
 
-from pwm_gym.sim.cabinet import CABINET, CABINET_HALF, DRAWER, DRAWER_JOINT, HANDLE, PLACE, STROKE, TRAY, TRAY_FLOOR
-from pwm_gym.sim.maniskill.build import add_shapes
-from pwm_gym.sim.maniskill.scenes.common import ROBOT_BASE, about_z, nearness, render_camera, sensor_camera
+from pwm_gym.sim.cabinet import CABINET_HALF, HANDLE, PLACE, STROKE, TRAY, TRAY_FLOOR
+from pwm_gym.sim.maniskill.scenes.common import ROBOT_BASE, nearness, render_camera, sensor_camera
+from pwm_gym.sim.maniskill.scenes.parts import build_cabinet, build_mugs, put_articulation, random_places
 from pwm_gym.sim.mugs import MUGS, get_mug
 
 __all__ = ["MugChoice", "MugCleanupEnv"]
@@ -24,14 +22,12 @@ __all__ = ["MugChoice", "MugCleanupEnv"]
 _CABINET = (0.21, 0.15)  # middle, in the plane
 _CABINET_SPREAD = (0.015, 0.015, 0.08)  # x, y and yaw, to either side
 _MUG_FROM, _MUG_TO = (-0.13, -0.26), (0.0, -0.15)  # corners of where it stands
-_FRICTION, _DAMPING = 1.0, 20.0  # of the drawer, which stays where it is left
 _OPEN = 0.12  # from here on the mug's part of the reward counts
 _SHUT = 0.008
 _IN_TRAY = 0.014  # of the mug's bottom over the tray's floor
 _EDGE = 0.025  # by which the mug's axis is further in than the tray's walls
 _STATIC = 0.2  # rad/s
 _WHOLE = 8.0  # the reward at success
-_WOOD, _RED = (0.55, 0.40, 0.26, 1.0), (0.75, 0.15, 0.12, 1.0)
 
 
 @register_env("MugCleanup-v1", max_episode_steps=400)
@@ -84,55 +80,18 @@ class MugCleanupEnv(BaseEnv):
     def _load_scene(self, options: dict[str, Any]) -> None:
         self.table_scene = TableSceneBuilder(self, robot_init_qpos_noise=self.robot_init_qpos_noise)
         self.table_scene.build()
-        self.cabinet = self._build_cabinet()
+        self.cabinet = build_cabinet(self.scene, _CABINET)
         self.drawer = self.cabinet.links_map["drawer"]
         self.mug_names = tuple(map(str, self._batched_episode_rng.choice(self.mug_choice)))
-        self.mug = self._build_mugs()
+        self.mug = build_mugs(self, self.mug_names, _MUG_FROM)
         self.mug_half = torch.tensor([0.5 * MUGS[name].height for name in self.mug_names], device=self.device)
-
-    def _build_cabinet(self) -> Any:
-        builder = self.scene.create_articulation_builder()
-        cabinet = builder.create_link_builder()
-        cabinet.set_name("cabinet")
-        add_shapes(cabinet, CABINET, _WOOD)
-        drawer = builder.create_link_builder(cabinet)
-        drawer.set_name("drawer")
-        drawer.set_joint_name("slide")
-        origin = sapien.Pose(DRAWER_JOINT.origin[:3])  # SAPIEN's joints slide along x, as this one does
-        limits = [[DRAWER_JOINT.lower, DRAWER_JOINT.upper]]
-        drawer.set_joint_properties("prismatic", limits, origin, sapien.Pose(), damping=_DAMPING)
-        add_shapes(drawer, DRAWER, _WOOD, density=400.0)
-        builder.initial_pose = sapien.Pose([*_CABINET, CABINET_HALF[2]], [0.0, 0.0, 0.0, 1.0])
-        built = builder.build(name="cabinet", fix_root_link=True)
-        built.active_joints[0].set_friction(_FRICTION)
-        return built
-
-    def _build_mugs(self) -> Any:
-        mugs = []
-        for i, name in enumerate(self.mug_names):
-            builder = self.scene.create_actor_builder()
-            add_shapes(builder, MUGS[name].shapes(), _RED, density=600.0)
-            builder.initial_pose = sapien.Pose([*_MUG_FROM, 0.5 * MUGS[name].height])
-            builder.set_scene_idxs([i])
-            mugs.append(builder.build(name=f"{name}-{i}"))
-            self.remove_from_state_dict_registry(mugs[-1])
-        mug = Actor.merge(mugs, name="mug")
-        self.add_to_state_dict_registry(mug)
-        return mug
 
     def _initialize_episode(self, env_idx: torch.Tensor, options: dict[str, Any]) -> None:
         with torch.device(self.device):
             count = len(env_idx)
             self.table_scene.initialize(env_idx)
-            spread = (2 * torch.rand((count, 3)) - 1) * torch.tensor(_CABINET_SPREAD)
-            places = torch.tensor([*_CABINET, CABINET_HALF[2]]).repeat(count, 1)
-            places[:, :2] += spread[:, :2]
-            self.cabinet.set_pose(Pose.create_from_pq(places, about_z(np.pi + spread[:, 2])))
-            self.cabinet.set_qpos(torch.zeros((count, 1)))
-            self.cabinet.set_qvel(torch.zeros((count, 1)))
-            low, high = torch.tensor(_MUG_FROM), torch.tensor(_MUG_TO)
-            stand = torch.cat([low + torch.rand((count, 2)) * (high - low), self.mug_half[env_idx, None]], -1)
-            self.mug.set_pose(Pose.create_from_pq(stand, about_z(2 * np.pi * torch.rand(count))))
+            put_articulation(self.cabinet, (*_CABINET, CABINET_HALF[2]), _CABINET_SPREAD, 0.0, count)
+            self.mug.set_pose(random_places(_MUG_FROM, _MUG_TO, self.mug_half[env_idx]))
 
     def _in_drawer(self, point: tuple[float, float, float]) -> torch.Tensor:
         """Place (B, 3) of a point of the drawer's frame."""

@@ -1,0 +1,100 @@
+import gymnasium as gym
+import numpy as np
+import pytest
+import torch
+from gymnasium.utils.env_checker import check_env
+
+from pwm_gym.costs import cost_info, get_cost, get_grasp, get_success
+from pwm_gym.scene import Scene, batch_state, sample_clouds
+from pwm_gym.seeds import seed_range
+from pwm_gym.tasks import get_task
+
+TASK = get_task("CoffeePreparation")
+LIMIT = TASK.max_episode_steps
+STAGES = ("place mug at machine", "open drawer", "take pod", "place pod at machine", "close lid", "finished")
+
+
+@pytest.fixture(scope="module")
+def simulator():
+    simulator = TASK.make_simulator()
+    yield simulator
+    simulator.close()
+
+
+def run(simulator, seed):
+    """Expert's steps until the simulator calls it a success; one more than the limit if it never does."""
+    simulator.reset(seed)
+    expert = TASK.expert(np.random.default_rng(seed))
+    for step in range(1, LIMIT + 1):
+        if simulator.step(expert.act(simulator.poses(), simulator.goal(), simulator.assets())).success:
+            return step
+    return LIMIT + 1
+
+
+@pytest.fixture(scope="module")
+def episode(simulator):
+    """An expert's episode until 5 steps past success: scenes, what costs read of them, and outcomes."""
+    seed = seed_range("test", 1)[0]
+    simulator.reset(seed)
+    expert, assets = TASK.expert(np.random.default_rng(seed)), simulator.assets()
+    clouds = sample_clouds(simulator.meshes(), TASK.layout, TASK.cloud_seed)
+    poses, scenes, actions, outcomes = [simulator.poses()] * 3, [], [], []
+    while sum(o.success for o in outcomes) < 5 and len(outcomes) < LIMIT:
+        actions.append(expert.act(simulator.poses(), simulator.goal(), assets))
+        outcomes.append(simulator.step(actions[-1]))
+        poses.insert(0, simulator.poses())
+        last = np.stack(poses[:3])
+        scenes.append(Scene(TASK.name, TASK.layout, clouds, last, simulator.goal(), simulator.joints(), assets=assets))
+    goals = torch.zeros(len(scenes), 0)
+    view = cost_info(batch_state(scenes), torch.as_tensor(np.array(actions)), goals, get_grasp(TASK.grasp))
+    return scenes, view, outcomes
+
+
+def test_the_expert_brings_the_mug_and_puts_the_drawers_pod_into_the_machine(episode):
+    scenes, _, outcomes = episode
+    assert outcomes[-1].success and 220 < len(outcomes) < LIMIT
+    first, last = scenes[0].poses[0], scenes[-1].poses[0]
+    mug, pod, drawer = (TASK.layout.index(name) for name in ("mug", "pod", "drawer"))
+    assert np.linalg.norm(first[mug] - last[mug]) > 0.05 and np.linalg.norm(first[pod, :3] - last[pod, :3]) > 0.2
+    assert 0.12 < np.linalg.norm(first[drawer, :3] - last[drawer, :3]) < 0.17
+
+
+@pytest.mark.slow
+def test_the_expert_succeeds_in_most_of_50_episodes(simulator):
+    steps = np.array([run(simulator, seed) for seed in seed_range("test", 50)])
+    assert (steps <= LIMIT).mean() >= 0.85, steps
+
+
+def test_the_cost_is_minus_the_simulators_reward_and_the_rules_are_its_own(episode):
+    _, view, outcomes = episode
+    rewards = np.array([o.reward for o in outcomes])
+    found = -get_cost(TASK.cost)(*view).numpy()
+    assert np.corrcoef(found, rewards)[0, 1] > 0.99 and np.abs(found - rewards).mean() < 0.015
+    for rule, key in ((get_success(TASK.success), "success"), (get_grasp(TASK.grasp), "grasped")):
+        truth = np.array([getattr(o, key) for o in outcomes])
+        assert truth.any() and (rule(*view).numpy() == truth).mean() > 0.97, key
+
+
+def test_the_planning_cost_is_a_sequence_of_other_tasks_stages_which_a_demonstration_goes_through(episode):
+    _, (points, info), outcomes = episode
+    cost = get_cost(TASK.plan_cost)
+    assert cost.stage_names == STAGES
+    others = {s.name: list(s.terms) for name in ("mug_cleanup_plan", "coffee_plan") for s in get_cost(name).stages}
+    shared = [stage for stage in cost.stages if stage.name in others]
+    assert len(shared) == 3 and all(list(stage.terms) == others[stage.name] for stage in shared)
+    stage = cost.along(cost.begin(1), points, info, len(outcomes)).squeeze(0)
+    assert [int((stage == k).sum()) > 15 for k in range(5)] == [True] * 5 and stage[-1] == 5
+    values = cost(points, {**info, "stage": stage})
+    assert all(values[stage == k].min() > values[stage == k + 1].min() for k in range(5))
+
+
+def test_the_twin_is_an_environment_with_the_papers_point_count():
+    env = gym.make("pwm/CoffeePreparationSim-v0").unwrapped
+    check_env(env, skip_render_check=True)
+    first, info = env.reset(seed=4)
+    assert first["points"].shape == (8192, 3) and info["stage"] == STAGES[0]
+    scene = env.scene()
+    env.reset(seed=5)
+    again, _ = env.reset(options={"scene": scene})
+    np.testing.assert_allclose(again["points"], first["points"], atol=1e-4)
+    env.close()
