@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
-from pwm_gym.costs import get_cost
+from pwm_gym.costs import StagedCost, get_cost
 from pwm_gym.dynamics import load_checkpoint
 from pwm_gym.dynamics.checkpoint import default_checkpoints
 from pwm_gym.tasks import Task, get_task
 
 DOCS = Path(__file__).parent
 PAGE = DOCS / "tasks.md"
-_NAMES = ("PickCube", "StackCube", "PickYCB", "MugCleanup", "Coffee")
+_NAMES = ("PickCube", "StackCube", "PickYCB", "MugCleanup", "Coffee", "CoffeePreparation")
 _INTRO = """# Tasks
 
 Written by `python docs/generate_tasks.py`. Spaces, rewards and infos that all tasks share:
@@ -21,6 +23,8 @@ _MORE = {
     "PickYCB": "Where its objects come from, and which are kept out of training: [ycb.md](ycb.md).\n",
     "MugCleanup": "In ManiSkill, too: `import pwm_gym.sim.maniskill.scenes` registers `MugCleanup-v1` there.\n",
     "Coffee": "In ManiSkill, too: `import pwm_gym.sim.maniskill.scenes` registers `Coffee-v1` there.\n",
+    "CoffeePreparation": "In ManiSkill, too: `import pwm_gym.sim.maniskill.scenes` registers `CoffeePreparation-v1` "
+    "there. No model is trained on it: it is made of parts of MugCleanup and Coffee.\n",
 }
 
 
@@ -40,9 +44,16 @@ def _section(task: Task) -> str:
         moves = f"{kind}, on `{entity.joint.parent}`" if entity.joint.parent else kind
         lines.append(f"| `{entity.name}` | {entity.points} | {moves}{', driven' if entity.driven else ''} |")
     for title, name in (("reward (minus the cost)", task.cost), ("planners' cost", task.plan_cost)):
-        terms = ", ".join(f"`{term}` {weight:+.3g}" for term, (weight, _) in get_cost(name).terms.items())
-        lines += ["", f"Terms of the {title}, `{name}`: {terms}."]
+        cost = get_cost(name)
+        lines += ["", f"Terms of the {title}, `{name}`: {_terms(cost.terms)}."]
+        if isinstance(cost, StagedCost):
+            lines += ["", f"It is a [sequence of stages](stages.md); each that is left costs {cost.price:g}:", ""]
+            lines += [f"{i}. `{stage.name}`: {_terms(stage.terms)}" for i, stage in enumerate(cost.stages, 1)]
     return "\n".join([*lines, "", _MORE.get(task.name, "")])
+
+
+def _terms(terms: Mapping[str, tuple[float, Any]]) -> str:
+    return ", ".join(f"`{term}` {weight:+.3g}" for term, (weight, _) in terms.items())
 
 
 def _facts(task: Task) -> list[str]:

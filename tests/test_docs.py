@@ -9,7 +9,7 @@ from pathlib import Path
 import gymnasium as gym
 import pytest
 
-from pwm_gym.costs import COSTS, GRASPS, SUCCESSES
+from pwm_gym.costs import COSTS, GRASPS, SUCCESSES, get_cost
 from pwm_gym.tasks import TASKS
 
 ROOT = Path(__file__).parents[1]
@@ -30,17 +30,32 @@ def test_readme_snippets_run(monkeypatch, tmp_path):
     assert run_page("README.md")["info"]["cost_terms"]
 
 
-def test_a_task_of_ones_own_is_one_short_file(monkeypatch, tmp_path):
-    monkeypatch.chdir(tmp_path)
+@pytest.fixture
+def kept_registries():
+    """What a page registers is forgotten."""
     kept = [(registry, dict(registry)) for registry in (TASKS, COSTS, SUCCESSES, GRASPS, gym.registry)]
-    try:
-        names = run_page("docs/own_task.md")
-        assert "PushCube" in TASKS and names["twin"].unwrapped.task is TASKS["PushCube"]
-        assert names["observation"]["points"].shape == (1200, 3)
-    finally:
-        for registry, before in kept:
-            registry.clear()
-            registry.update(before)
+    yield
+    for registry, before in kept:
+        registry.clear()
+        registry.update(before)
+
+
+def test_a_task_of_ones_own_is_one_short_file(monkeypatch, tmp_path, kept_registries):
+    monkeypatch.chdir(tmp_path)
+    names = run_page("docs/own_task.md")
+    assert "PushCube" in TASKS and names["twin"].unwrapped.task is TASKS["PushCube"]
+    assert names["observation"]["points"].shape == (1200, 3)
+
+
+def test_a_sequence_of_ones_own_goes_from_stage_to_stage(kept_registries):
+    assert list(dict.fromkeys(run_page("docs/stages.md")["stages"])) == ["left", "back", "finished"]
+
+
+def test_the_page_of_stages_names_those_of_the_tasks():
+    text = (ROOT / "docs/stages.md").read_text()
+    for name in ("MugCleanup", "Coffee", "CoffeePreparation"):
+        stages = ", ".join(f"`{stage}`" for stage in get_cost(TASKS[name].plan_cost).stage_names[:-1])
+        assert f"| {name} | {stages} |" in text
 
 
 @pytest.mark.parametrize("name", ["generate", "generate_tasks", "generate_results"])

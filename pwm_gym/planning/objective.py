@@ -14,7 +14,10 @@ from pwm_gym.dynamics.protocols import expected_error
 from pwm_gym.errors import PwmGymError
 from pwm_gym.scene import RigidState, State
 
-__all__ = ["RolloutObjective"]
+__all__ = ["MOST_POINTS", "RolloutObjective"]
+
+MOST_POINTS = 2048
+"""Points of a scene that costs read in every predicted step."""
 
 
 class RolloutObjective:
@@ -25,7 +28,8 @@ class RolloutObjective:
         cost: cost of a state.
         grasp: rule for ``info["grasped"]``.
         terminal: extra weight of the last step.
-        points: points an entity that the cost reads (rigid models only); None reads all.
+        points: points an entity that the cost reads (rigid models only); None reads all, but of a scene of more than
+            :data:`MOST_POINTS` its entities' shares of these.
         caution: cost of a metre of expected error (the entities' sum) at a step.
     """
 
@@ -58,6 +62,8 @@ class RolloutObjective:
             state = state if self.caution else replace(state, error=None)
             if self.points is not None:
                 state = state.coarsen(state.layout.truncate(self.points))
+            elif state.layout.points > MOST_POINTS:
+                state = state.coarsen(state.layout.resize(MOST_POINTS))
         self._state, self._goal, self._stage = state, goal, stage
         return self
 
