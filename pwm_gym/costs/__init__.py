@@ -1,6 +1,6 @@
 """Point-cloud costs, success rules and grasp rules, by name."""
 
-from pwm_gym.costs import contacts, drawers, lids, motion, objects, sequences, terms
+from pwm_gym.costs import contacts, drawers, lids, motion, objects, sequences, shaped, terms
 from pwm_gym.costs.registry import (
     COSTS,
     GRASPS,
@@ -43,5 +43,6 @@ __all__ = [
     "register_success",
     "register_terms",
     "sequences",
+    "shaped",
     "terms",
 ]

@@ -52,9 +52,7 @@ __all__ = [
     "resting_on",
     "retreat",
     "settle",
-    "stages",
     "still",
-    "success_bonus",
     "tool",
     "ungrasp",
     "way_from_above",
@@ -197,40 +195,6 @@ def object_still(name: str, period: float) -> Term:
         return 1.0 - torch.tanh(10.0 * linear + angular)
 
     return term
-
-
-def success_bonus(success: Term, whole: float, parts: list[Term]) -> Term:
-    """What success adds to the sum of ``parts``, so that it is ``whole`` there."""
-
-    def term(points: Points, info: Info) -> Tensor:
-        first, *others = (part(points, info) for part in parts)
-        total = sum(others, first)
-        return (whole - total) * success(points, info)
-
-    return term
-
-
-def stages(parts: Mapping[str, tuple[Term | None, Term]]) -> dict[str, tuple[float, Term]]:
-    """Weighted terms of a reward whose stages replace each other: only the last stage whose rule holds counts.
-
-    Args:
-        parts: name -> rule (None: always) and term, the earliest stage first.
-    """
-    rules = [rule for rule, _ in parts.values()]
-
-    def only(term: Term, later: list[Term | None], rule: Term | None) -> Term:
-        def staged(points: Points, info: Info) -> Tensor:
-            value = term(points, info)
-            if rule is not None:
-                value = torch.where(rule(points, info), value, 0.0)
-            for other in later:
-                assert other is not None
-                value = torch.where(other(points, info), 0.0, value)
-            return value
-
-        return staged
-
-    return {name: (1.0, only(term, rules[i + 1 :], rule)) for i, (name, (rule, term)) in enumerate(parts.items())}
 
 
 # The planners' cost: a grasp that cannot be fooled ----------------------------------------------------------------

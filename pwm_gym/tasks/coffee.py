@@ -18,6 +18,7 @@ from pwm_gym.costs import (
     register_success,
     register_terms,
     sequences,
+    shaped,
     terms,
 )
 from pwm_gym.costs.motion import joint_speed
@@ -49,28 +50,18 @@ def _success(points: Points, info: terms.Info) -> Tensor:
     return left & _is_shut(points, info) & (joint_speed(points, info, JOINT_SPEEDS) <= _STATIC)
 
 
-_reach, _place = objects.reach("pod"), lids.placed(_LID, "pod")
-_shut = lids.shut(_LID)
-
-
-def _put_in(points: Points, info: terms.Info) -> Tensor:
-    """Reward for reaching the pod, holding it, and bringing it to the holder."""
-    return _reach(points, info) + _held(points, info) * (1.0 + _place(points, info))
-
-
-def _shutting(points: Points, info: terms.Info) -> Tensor:
-    """Reward for letting the pod go and shutting the lid."""
-    return 3.0 + ~_held(points, info) * (0.5 + 1.5 * _shut(points, info))
-
-
-_REWARD = terms.stages(  # minus the simulator's normalised shaped reward, whose stages replace each other
-    {
-        "placing": (None, lambda p, i: -_put_in(p, i) / 6.0),
-        "shutting": (_seated, lambda p, i: -_shutting(p, i) / 6.0),
-        "success": (_success, lambda p, i: -_success(p, i).float()),
-    }
+_reach, _place, _shut = objects.reach("pod"), lids.placed(_LID, "pod"), lids.shut(_LID)
+register_terms(  # minus the simulator's normalised shaped reward
+    "coffee",
+    shaped.normalised(
+        6.0,
+        {
+            "placing": (None, 0.0, shaped.bring(_reach, _held, _place)),
+            "shutting": (_seated, 3.0, shaped.let_go(_held, lambda p, i: 0.5 + 1.5 * _shut(p, i))),
+        },
+        _success,
+    ),
 )
-register_terms("coffee", _REWARD)
 register_stages(
     "coffee_plan",
     [sequences.insert("pod", _LID, beside=0.006, above=0.008), sequences.close_lid(_LID, SHUT)],

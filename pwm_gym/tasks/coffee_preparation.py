@@ -21,6 +21,7 @@ from pwm_gym.costs import (
     register_success,
     register_terms,
     sequences,
+    shaped,
     terms,
 )
 from pwm_gym.costs.motion import joint_speed
@@ -43,7 +44,7 @@ _POINTS = {"machine": 1408, "lid": 640, "pod": 512, "cabinet": 1536, "drawer": 1
 _LAYOUT = layout(_POINTS, points=512, joints=_JOINTS)
 _LID, _DRAWER = lids.COFFEE_LID, drawers.CABINET_DRAWER
 _holds_mug, _holds_pod = objects.held("mug"), terms.pinch("pod")
-_stand, _holder = lids.before(_LID, "mug"), lids.holder(_LID)
+_stand = lids.before(_LID, "mug")
 _stands = terms.resting_on("mug", _stand, beside=0.02, height=0.006)
 _seated = lids.seated(_LID, "pod", beside=0.006, above=0.008)
 _is_open, _is_shut = drawers.open_to(_DRAWER, OPEN), lids.shut_to(_LID, SHUT)
@@ -57,42 +58,24 @@ def _success(points: Points, info: terms.Info) -> Tensor:
     return left & _is_shut(points, info) & (joint_speed(points, info, JOINT_SPEEDS) <= _STATIC)
 
 
-_to_mug, _to_stand = terms.reach("mug"), terms.nearness(terms.centre("mug"), _stand)
-_to_pod, _to_holder = objects.reach("pod"), lids.placed(_LID, "pod")
-_to_handle, _opened = drawers.reach(drawers.handle(_DRAWER)), drawers.opened(_DRAWER)
-_shut = lids.shut(_LID)
-
-
-def _bringing(points: Points, info: terms.Info) -> Tensor:
-    """Reward for reaching the mug, holding it, and bringing it to the machine."""
-    return _to_mug(points, info) + _holds_mug(points, info) * (1.0 + _to_stand(points, info))
-
-
-def _opening(points: Points, info: terms.Info) -> Tensor:
-    """Reward for letting the mug go, reaching the handle, and opening the drawer."""
-    return 3.0 + ~_holds_mug(points, info) * (_to_handle(points, info) + _opened(points, info))
-
-
-def _inserting(points: Points, info: terms.Info) -> Tensor:
-    """Reward for reaching the pod, holding it, and bringing it to the holder."""
-    return 5.0 + _to_pod(points, info) + _holds_pod(points, info) * (1.0 + _to_holder(points, info))
-
-
-def _shutting(points: Points, info: terms.Info) -> Tensor:
-    """Reward for letting the pod go and shutting the lid."""
-    return 8.0 + ~_holds_pod(points, info) * (0.5 + 1.5 * _shut(points, info))
-
-
-register_terms(  # minus the simulator's normalised shaped reward, whose stages replace each other
+_handle, _opened, _shut = drawers.reach(drawers.handle(_DRAWER)), drawers.opened(_DRAWER), lids.shut(_LID)
+_bring_mug = shaped.bring(terms.reach("mug"), _holds_mug, terms.nearness(terms.centre("mug"), _stand))
+_bring_pod = shaped.bring(objects.reach("pod"), _holds_pod, lids.placed(_LID, "pod"))
+register_terms(  # minus the simulator's normalised shaped reward
     "coffee_preparation",
-    terms.stages(
+    shaped.normalised(
+        11.0,
         {
-            "bringing": (None, lambda p, i: -_bringing(p, i) / 11.0),
-            "opening": (_stands, lambda p, i: -_opening(p, i) / 11.0),
-            "inserting": (lambda p, i: _stands(p, i) & _is_open(p, i), lambda p, i: -_inserting(p, i) / 11.0),
-            "shutting": (lambda p, i: _stands(p, i) & _seated(p, i), lambda p, i: -_shutting(p, i) / 11.0),
-            "success": (_success, lambda p, i: -_success(p, i).float()),
-        }
+            "bringing": (None, 0.0, _bring_mug),
+            "opening": (_stands, 3.0, shaped.let_go(_holds_mug, lambda p, i: _handle(p, i) + _opened(p, i))),
+            "inserting": (lambda p, i: _stands(p, i) & _is_open(p, i), 5.0, _bring_pod),
+            "shutting": (
+                lambda p, i: _stands(p, i) & _seated(p, i),
+                8.0,
+                shaped.let_go(_holds_pod, lambda p, i: 0.5 + 1.5 * _shut(p, i)),
+            ),
+        },
+        _success,
     ),
 )
 register_stages(

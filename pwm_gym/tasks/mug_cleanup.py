@@ -17,6 +17,7 @@ from pwm_gym.costs import (
     register_success,
     register_terms,
     sequences,
+    shaped,
     terms,
 )
 from pwm_gym.costs.motion import joint_speed
@@ -53,27 +54,18 @@ def _success(points: Points, info: terms.Info) -> Tensor:
 
 _handle, _opened = drawers.reach(drawers.handle(_DRAWER)), drawers.opened(_DRAWER)
 _reach, _place = terms.reach("mug"), drawers.put_in(_DRAWER, "mug")
-
-
-def _put_in(points: Points, info: terms.Info) -> Tensor:
-    """Reward for reaching the mug, holding it, and bringing it to its place."""
-    return 2.0 + _reach(points, info) + _held(points, info) * (1.0 + _place(points, info))
-
-
-def _shutting(points: Points, info: terms.Info) -> Tensor:
-    """Reward for letting the mug go, reaching the handle, and shutting the drawer."""
-    return 5.0 + ~_held(points, info) * (1.5 + 0.5 * _handle(points, info) - _opened(points, info))
-
-
-_REWARD = terms.stages(  # minus the simulator's normalised shaped reward, whose stages replace each other
-    {
-        "opening": (None, lambda p, i: -0.125 * (_handle(p, i) + _opened(p, i))),
-        "placing": (_is_open, lambda p, i: -0.125 * _put_in(p, i)),
-        "shutting": (_inside, lambda p, i: -0.125 * _shutting(p, i)),
-        "success": (_success, lambda p, i: -_success(p, i).float()),
-    }
+register_terms(  # minus the simulator's normalised shaped reward
+    "mug_cleanup",
+    shaped.normalised(
+        8.0,
+        {
+            "opening": (None, 0.0, lambda p, i: _handle(p, i) + _opened(p, i)),
+            "placing": (_is_open, 2.0, shaped.bring(_reach, _held, _place)),
+            "shutting": (_inside, 5.0, shaped.let_go(_held, lambda p, i: 1.5 + 0.5 * _handle(p, i) - _opened(p, i))),
+        },
+        _success,
+    ),
 )
-register_terms("mug_cleanup", _REWARD)
 register_stages(
     "mug_cleanup_plan",
     [

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from torch import Tensor
 
-from pwm_gym.costs import Points, register_grasp, register_success, register_terms, terms
+from pwm_gym.costs import Points, register_grasp, register_success, register_terms, shaped, terms
 from pwm_gym.costs.motion import joint_speed
 from pwm_gym.robots.panda import JOINT_SPEEDS, PANDA, layout
 from pwm_gym.sim import Simulator
@@ -38,7 +38,7 @@ _REWARDS = {
     "placing": terms.place("cube", terms.goal_position),
     "static": terms.still(JOINT_SPEEDS, _at_goal),
 }
-_BONUS = terms.success_bonus(_success, whole=5.0, parts=[*_REWARDS.values()])
+_BONUS = shaped.success_bonus(_success, whole=5.0, parts=[*_REWARDS.values()])
 
 register_terms(  # minus ManiSkill's normalised shaped reward; -1 at success
     "pick_cube", {name: (-0.2, term) for name, term in {**_REWARDS, "success": _BONUS}.items()}

@@ -9,7 +9,7 @@ from functools import cache, partial
 import numpy as np
 from torch import Tensor
 
-from pwm_gym.costs import Points, objects, register_grasp, register_success, register_terms, terms
+from pwm_gym.costs import Points, objects, register_grasp, register_success, register_terms, shaped, terms
 from pwm_gym.costs.motion import joint_speed
 from pwm_gym.errors import PwmGymError
 from pwm_gym.robots.panda import JOINT_SPEEDS, PANDA, layout
@@ -42,7 +42,7 @@ _REWARDS = {
     "placed": _placed,
     "static": objects.still(JOINT_SPEEDS, _placed),
 }
-_BONUS = terms.success_bonus(_success, whole=6.0, parts=[*_REWARDS.values()])
+_BONUS = shaped.success_bonus(_success, whole=6.0, parts=[*_REWARDS.values()])
 
 register_terms(  # minus ManiSkill's normalised shaped reward; -1 at success
     "pick_ycb", {name: (-1 / 6, term) for name, term in {**_REWARDS, "success": _BONUS}.items()}

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from torch import Tensor
 
-from pwm_gym.costs import Points, register_grasp, register_success, register_terms, terms
+from pwm_gym.costs import Points, register_grasp, register_success, register_terms, shaped, terms
 from pwm_gym.robots.panda import PANDA, layout
 from pwm_gym.sim import Simulator
 from pwm_gym.skills import Place, TopGrasp
@@ -39,7 +39,7 @@ _ungrasp = terms.ungrasp("cube_a")
 _still = terms.object_still("cube_a", _PERIOD)
 register_terms(  # minus ManiSkill's normalised shaped reward, whose stages replace each other; -1 at success
     "stack_cube",
-    terms.stages(
+    shaped.stages(
         {
             "reaching": (None, lambda p, i: -0.25 * _reach(p, i)),
             "placing": (_pinched, lambda p, i: -0.5 - 0.125 * _place(p, i)),
