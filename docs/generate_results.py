@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import Any
 
 from formatting import ROOT, SUCCESS_HEAD, grid, number, paragraph, read, source, success
-from tables import all_tables, completed_rollouts, completion, planning_table, speed
+from tables import all_tables, completed_rollouts, completion, planning_table, speed, task_tables
 
 from pwm_gym.assets.liftable import liftable_objects
 from pwm_gym.evaluation.planning import wilson
@@ -39,8 +39,10 @@ _PLANNED = {
     "PickCube": "plan_pick_cube",
     "StackCube": "plan_stack_cube",
     "PickYCB": "plan_pick_ycb",
+    "PickYCB, liftable objects": "plan_pick_ycb_liftable",
     "PickYCB, unseen objects": "plan_pick_ycb_unseen",
 }
+_MIXED = ("PickYCB", "PickYCB, unseen objects")  # some of whose objects nothing can lift
 _PLAN_MODES = ("closed loop", "open loop", "completed clouds, closed loop")
 _INTRO = """# Results
 
@@ -101,6 +103,7 @@ def page() -> str:
         _calibration(),
         _planned(),
         _distractors(),
+        *task_tables(),
         _EARLIER,
         planning_table("planning_default", "Planning with the default model of version 0.1"),
         planning_table("table_planning"),
@@ -177,8 +180,8 @@ def _planned() -> str:
             result = read(name)
             if result is not None:
                 rows.append([task, mode, *success(result)])
-                if task == "PickYCB" and result["objects"]:
-                    rows.append([f"{task}, liftable objects alone", mode, *_liftable(result)])
+                if task in _MIXED and result["objects"]:
+                    rows.append([f"{task}, those alone that the expert lifts", mode, *_liftable(result)])
                 sources.append(source(name, result))
     if not rows:
         return ""

@@ -7,6 +7,8 @@ from typing import Any
 from formatting import SUCCESS_HEAD, grid, number, paragraph, read, source, success
 
 _TABLES = ("rollout", "baselines", "head", "register", "horizon", "data", "arm")
+_LATER = ("rollout", "planning", "planning-paper", "baselines", "register", "register-points", "horizon", "data")
+_TASKS = {"StackCube": "stack_cube", "PickYCB": "pick_ycb"}
 
 
 def planning_table(name: str, title: str = "") -> str:
@@ -94,7 +96,19 @@ def all_tables() -> list[str]:
     return [_table(name, result) for name in names if (result := read(name))]
 
 
-def _table(name: str, result: dict[str, Any]) -> str:
+def task_tables() -> list[str]:
+    """The tables of trainings and of planning that are there of the tasks after the first."""
+    found = []
+    for task, suffix in _TASKS.items():
+        for table in _LATER:
+            name = f"table_{table}_{suffix}"
+            if (result := read(name)) is not None:
+                title = f"{task}: {result['caption'][0].lower()}{result['caption'][1:]}"
+                found.append(planning_table(name, title) if "planning" in table else _table(name, result, title))
+    return found
+
+
+def _table(name: str, result: dict[str, Any], title: str = "") -> str:
     planned = any(row.get("planning") for row in result["rows"])
     rows = []
     for row in result["rows"]:
@@ -113,7 +127,7 @@ def _table(name: str, result: dict[str, Any]) -> str:
     head += ["episodes", "CPU-minutes", "sample-steps", "parameters", *(["planned"] if planned else [])]
     commits = sorted({commit for row in result["rows"] for commit in row["commits"]})  # of its pieces
     told = source(name, {**result, "commit": ", ".join(commits)})
-    return f"## {result['caption']}\n\n{told}\n{grid(head, rows)}"
+    return f"## {title or result['caption']}\n\n{told}\n{grid(head, rows)}"
 
 
 def _spread(value: dict[str, float], digits: int) -> str:

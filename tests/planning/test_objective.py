@@ -85,6 +85,18 @@ def test_fewer_points_cost_about_the_same(model, start, actions):
     torch.testing.assert_close(coarse, full, atol=0.1, rtol=0)
 
 
+def test_costs_of_large_scenes_read_a_part_of_the_points(model, start, actions, monkeypatch):
+    read = []
+
+    def cost(points, info):
+        read.append(sum(points[name].shape[1] for name in points))
+        return points["cube"].mean(-2)[..., 2]
+
+    monkeypatch.setattr("pwm_gym.planning.objective.MOST_POINTS", 400)
+    RolloutObjective(model, get_cost(cost), get_grasp("pick_cube")).begin(start[1], start[2])(actions)
+    assert read == [400]
+
+
 def test_an_agent_acts_reproducibly(model, start):
     config = MPPIConfig(samples=16, elites=4, horizon=3)
     agent = Agent(model, "PickCube", config, seed=3)
