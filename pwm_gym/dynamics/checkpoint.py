@@ -61,11 +61,16 @@ class Checkpoint:
     model: WorldModel
     kind: str
     tasks: tuple[str, ...]
-    """Tasks that it was trained on."""
+    """Tasks that it was trained on last, of which it has initial scenes."""
     description: dict[str, Any]
     banks: dict[str, SceneBank] = field(default_factory=dict)
     """Task -> initial scenes."""
     folder: Path = Path()
+
+    @property
+    def seen_tasks(self) -> tuple[str, ...]:
+        """Every task whose data the weights have seen: those of the checkpoints that training started from, too."""
+        return tuple(self.description["training"].get("seen_tasks", self.tasks))
 
     def check_robot(self, layout: Layout, control: Control) -> None:
         """Raise :class:`CheckpointError` unless the scenes' robot and the meaning of actions are the model's."""

@@ -111,6 +111,7 @@ def fit(config: FitConfig, training: TrainConfig, validate: Validate, progress: 
         "data": _describe(config, sources),
         "windows_boost": config.boost,
         "init": config.init,
+        "seen_tasks": _seen_tasks(config.init, [task.name for task in tasks]),
     }
     banks = [scene_bank(dataset) for dataset in sources]
 
@@ -149,6 +150,12 @@ def _fresh(config: FitConfig, layout: Layout, task: Task) -> tuple[str, nn.Modul
     model: Any = build_model(checkpoint.kind, layout, task.control, checkpoint.description["config"])
     model.load_state_dict(cast("nn.Module", checkpoint.model).state_dict())
     return checkpoint.kind, model
+
+
+def _seen_tasks(init: str, tasks: list[str]) -> list[str]:
+    """Tasks that the weights will have seen: those of the checkpoint that training starts from come first."""
+    earlier = list(load_checkpoint(resolve(init, tasks[0])).seen_tasks) if init else []
+    return [*earlier, *(name for name in tasks if name not in earlier)]
 
 
 def _windows(config: FitConfig, sources: list[Dataset], held_out: list[Dataset]) -> tuple[Batches, np.ndarray | None]:

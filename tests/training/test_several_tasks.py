@@ -169,6 +169,7 @@ def test_training_goes_on_from_a_checkpoint(folders, tmp_path):
     kept = [name for name in old if not name.startswith("error.")]
     assert all(torch.equal(old[name], new[name]) for name in kept)  # the fitted responses, too
     assert second.tasks == ("Drawer",) and second.description["training"]["init"] == str(first)
+    assert second.seen_tasks == (*load_checkpoint(first).seen_tasks, "Drawer")
     further = fit(replace(begun, out=tmp_path / "third"), QUICK, count, progress=False)
     assert not torch.equal(load_checkpoint(further).model.state_dict()["movers.head.weight"], old["movers.head.weight"])
     with pytest.raises(PwmGymError, match="beside init"):
