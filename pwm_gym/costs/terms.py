@@ -320,7 +320,8 @@ def way_from_above(offset: Tensor, clearance: float) -> Tensor:
     """
     beside = offset[..., :2].norm(dim=-1)
     height = offset[..., 2] - clearance * ((beside - 0.005) / 0.04).clamp(0, 1)
-    return beside + torch.where(height < 0, -1.5 * height, 0.8 * height)
+    above = min(0.8, 0.02 / clearance)  # so little that a step to the side always pays
+    return beside + torch.where(height < 0, -1.5 * height, above * height)
 
 
 def _set_down(name: str, target: Place) -> Term:
