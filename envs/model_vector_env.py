@@ -107,6 +107,7 @@ class ModelVectorEnv(EzPickle, gym.vector.VectorEnv[dict[str, np.ndarray], np.nd
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
         self.checkpoint = load_checkpoint(resolve(checkpoint, task), device)
         self.checkpoint.check_robot(self.task.layout, self.task.control)
+        self.checkpoint.check_joints(self.task.layout)
         self.model = self.checkpoint.model
         self.layout = self.task.layout if points is None else self.task.layout.resize(points)
         self.rules = Rules(self.task, cost, grasp)

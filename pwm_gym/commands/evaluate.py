@@ -113,6 +113,7 @@ class Evaluate:
         data = data_folder(task.name, self.data)
         dataset = load_split(data, self.split, task.name)
         checkpoint = load_checkpoint(resolve(self.checkpoint, task.name))
+        checkpoint.check_joints(task.layout)
         training = load_split(self.fit_data or data, "train", task.name)
         starts = {} if self.completer is None else _completed_starts(task, dataset, self.completer, self.sensor)
         floors = self._floors(task, dataset) if self.floors else {}

@@ -29,8 +29,8 @@ class Plan:
     """Range of seeds: "plan_test", or "plan_validation" for tuning."""
     offset: int = 0
     """First seed of the range."""
-    max_steps: int = 100
-    """Actions an episode at most."""
+    max_steps: int | None = None
+    """Actions of an episode at most; None takes the task's limit."""
     planner: str = "mppi"
     """mppi, mppi-paper (the paper's settings), cem, icem or gradient."""
     samples: int | None = None
@@ -80,22 +80,26 @@ class Plan:
         from pwm_gym.seeds import RANGES, seed_range
         from pwm_gym.tasks import get_task
 
-        check_least(self, episodes=1, offset=0, max_steps=1, chunk=0, threads=1)
+        check_least(self, episodes=1, offset=0, chunk=0, threads=1)
+        if self.max_steps is not None:
+            check_least(self, max_steps=1)
         if self.seeds not in RANGES:
             raise unknown_name("range of seeds", self.seeds, RANGES)
         config = self._config()
         prepare_process(self.threads)
         task = get_task(self.task)
-        model = load_checkpoint(resolve(self.checkpoint, self.task)).model
+        checkpoint = load_checkpoint(resolve(self.checkpoint, self.task))
+        checkpoint.check_joints(task.layout)
         seeds = seed_range(self.seeds, self.episodes, self.offset)
         cost = None if self.cost is None else find_cost(self.cost)
         penalties = self._penalties(task)
-        agent = Agent(model, self.task, config, cost=cost, penalties=penalties, caution=self.caution)
+        agent = Agent(checkpoint.model, self.task, config, cost=cost, penalties=penalties, caution=self.caution)
         camera = CameraConfig(sensor=self.sensor, completer=self.completer)
         twin = f"pwm/{self.task}Sim-v0"
         settings: dict[str, Any] = {"observation": self.observation, "camera": camera, "objects": self.objects or None}
-        with gym.make(twin, max_episode_steps=self.max_steps, **settings) as env:
-            runs = run_episodes(env, agent, seeds, self.max_steps, self.chunk)
+        most = task.max_episode_steps if self.max_steps is None else self.max_steps
+        with gym.make(twin, max_episode_steps=most, **settings) as env:
+            runs = run_episodes(env, agent, seeds, most, self.chunk)
         table = planning_table(runs)
         _print(self.task, self.chunk, table)
         if self.save is not None:

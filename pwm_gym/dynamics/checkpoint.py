@@ -5,6 +5,7 @@ A checkpoint belongs to a robot; it has a bank of scenes of each task that it wa
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,6 +20,7 @@ from pwm_gym.errors import CheckpointError, UnknownNameError, unknown_name
 from pwm_gym.learning import load_weights, read_description, save_weights
 from pwm_gym.robots import Control
 from pwm_gym.scene import SCHEMA, Layout
+from pwm_gym.scene.joint import JOINT_KINDS
 
 __all__ = [
     "SHIPPED",
@@ -72,6 +74,12 @@ class Checkpoint:
         """Every task whose data the weights have seen: those of the checkpoints that training started from, too."""
         return tuple(self.description["training"].get("seen_tasks", self.tasks))
 
+    @property
+    def seen_joints(self) -> tuple[str, ...]:
+        """Kinds of joints that what the robot does not drive had in the data that the weights have seen."""
+        training = self.description["training"]
+        return tuple(training.get("seen_joints", (training.get("data") or {}).get("joints", JOINT_KINDS)))
+
     def check_robot(self, layout: Layout, control: Control) -> None:
         """Raise :class:`CheckpointError` unless the scenes' robot and the meaning of actions are the model's."""
         own, other = self.model.links.names, layout.robot().names
@@ -81,6 +89,14 @@ class Checkpoint:
             raise CheckpointError(
                 f"{self.folder} takes actions of {self.model.action_size} components; expected {control.size}"
             )
+
+    def check_joints(self, layout: Layout) -> None:
+        """Warn where a part hangs on a joint of a kind that no training data had; it is moved all the same."""
+        known = (*self.seen_joints, "fixed")
+        strange = {e.name: e.joint.kind for e in layout if not e.driven and e.joint.kind not in known}
+        if strange:
+            told = ", ".join(f"{name!r} ({kind})" for name, kind in strange.items())
+            warnings.warn(f"{self.folder} was trained without joints as of {told}; expect larger errors", stacklevel=2)
 
     def bank(self, task: str) -> SceneBank:
         """Initial scenes of a task.

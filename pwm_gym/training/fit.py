@@ -111,7 +111,7 @@ def fit(config: FitConfig, training: TrainConfig, validate: Validate, progress: 
         "data": _describe(config, sources),
         "windows_boost": config.boost,
         "init": config.init,
-        "seen_tasks": _seen_tasks(config.init, [task.name for task in tasks]),
+        **_seen(config.init, sources),
     }
     banks = [scene_bank(dataset) for dataset in sources]
 
@@ -152,10 +152,19 @@ def _fresh(config: FitConfig, layout: Layout, task: Task) -> tuple[str, nn.Modul
     return checkpoint.kind, model
 
 
-def _seen_tasks(init: str, tasks: list[str]) -> list[str]:
-    """Tasks that the weights will have seen: those of the checkpoint that training starts from come first."""
-    earlier = list(load_checkpoint(resolve(init, tasks[0])).seen_tasks) if init else []
-    return [*earlier, *(name for name in tasks if name not in earlier)]
+def _seen(init: str, sources: list[Dataset]) -> dict[str, list[str]]:
+    """Tasks and kinds of joints that the weights will have seen, also in the checkpoint that training starts from."""
+    tasks, joints = [dataset.task for dataset in sources], _joints(sources)
+    if init:
+        earlier = load_checkpoint(resolve(init, tasks[0]))
+        tasks = [*earlier.seen_tasks, *(name for name in tasks if name not in earlier.seen_tasks)]
+        joints = sorted({*joints, *earlier.seen_joints})
+    return {"seen_tasks": tasks, "seen_joints": joints}
+
+
+def _joints(sources: list[Dataset]) -> list[str]:
+    """Kinds of joints of what the robot does not drive."""
+    return sorted({e.joint.kind for dataset in sources for e in dataset.layout if not e.driven})
 
 
 def _windows(config: FitConfig, sources: list[Dataset], held_out: list[Dataset]) -> tuple[Batches, np.ndarray | None]:
@@ -302,7 +311,7 @@ def _describe(config: FitConfig, sources: Sequence[Dataset]) -> dict[str, Any]:
         "tasks": {dataset.task: len(dataset.episodes) for dataset in sources},
         "episodes": dict(zip(KINDS, map(int, kinds), strict=True)),
         "transitions": sum(map(len, episodes)),
-        "joints": sorted({e.joint.kind for dataset in sources for e in dataset.layout if not e.driven}),
+        "joints": _joints(sources),
         "view": config.view,
         "source": "ManiSkill 3 simulation (Apache-2.0), scripted expert",
     }

@@ -1,5 +1,6 @@
 """Training on tiny synthetic data sets of several tasks of one robot."""
 
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +12,7 @@ from pwm_gym.errors import DatasetError, PwmGymError, UnknownNameError
 from pwm_gym.robots import Robot
 from pwm_gym.robots.panda import PANDA
 from pwm_gym.scene import batch_state
-from pwm_gym.tasks.registry import TASKS, Task
+from pwm_gym.tasks.registry import TASKS, Task, get_task
 from pwm_gym.training import FitConfig, fit
 from pwm_gym.training.fit import joined, load_sources
 from pwm_gym.training.losses import TrainConfig
@@ -160,6 +161,15 @@ def test_no_data_is_a_clear_error(folders, tmp_path):
         load_sources([folders["Cube"]], "test")
 
 
+def test_joints_of_a_kind_that_no_training_had_are_warned_of(folders, tmp_path):
+    checkpoint = load_checkpoint(fit(config(tmp_path / "run", folders["Cube"]), QUICK, count, progress=False))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        checkpoint.check_joints(get_task("Cube").layout)
+    with pytest.warns(UserWarning, match=r"was trained without joints as of 'drawer' \(prismatic\)"):
+        checkpoint.check_joints(get_task("Drawer").layout)
+
+
 def test_training_goes_on_from_a_checkpoint(folders, tmp_path):
     first = fit(config(tmp_path / "first", folders["Cube"]), QUICK, count, progress=False)
     still = replace(QUICK, phases=((1, 1, 4),), learning_rate=0.0, weight_decay=0.0, ema_decay=0.0)
@@ -170,6 +180,7 @@ def test_training_goes_on_from_a_checkpoint(folders, tmp_path):
     assert all(torch.equal(old[name], new[name]) for name in kept)  # the fitted responses, too
     assert second.tasks == ("Drawer",) and second.description["training"]["init"] == str(first)
     assert second.seen_tasks == (*load_checkpoint(first).seen_tasks, "Drawer")
+    assert second.seen_joints == ("fixed", "free", "prismatic")
     further = fit(replace(begun, out=tmp_path / "third"), QUICK, count, progress=False)
     assert not torch.equal(load_checkpoint(further).model.state_dict()["movers.head.weight"], old["movers.head.weight"])
     with pytest.raises(PwmGymError, match="beside init"):
