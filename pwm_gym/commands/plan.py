@@ -140,5 +140,7 @@ def _print(task: str, chunk: int, table: dict[str, Any]) -> None:
     print(f"  success          {table['successes']}/{table['episodes']}  (95 % interval {low:.0%} to {high:.0%})")
     print(f"  steps to success {steps:.1f} on average" if steps else "  steps to success -")
     print(f"  one action       {latency['median']:.2f} s median, {latency['p95']:.2f} s 95th percentile")
+    for stage, count in table["stages"].items():
+        print(f"  past {stage:27s} {count}/{table['episodes']}")
     if table["failed_seeds"]:
         print(f"  failed seeds     {', '.join(map(str, table['failed_seeds']))}")

@@ -64,7 +64,7 @@ def wilson(successes: int, trials: int, z: float = 1.96) -> tuple[float, float]:
 
 
 def planning_table(runs: Sequence[Run]) -> dict[str, Any]:
-    """Success rate with its interval, steps and latencies (seconds an action) of ``runs``.
+    """Success rate with its interval, steps and latencies (seconds an action) of ``runs``, by object and by stage.
 
     Raises:
         PwmGymError: there are none.
@@ -84,9 +84,22 @@ def planning_table(runs: Sequence[Run]) -> dict[str, Any]:
             "p95": float(np.quantile(latencies, 0.95)),
         },
         "failed_seeds": [r.seed for r in runs if not r.success],
-        "runs": [{"seed": r.seed, "success": r.success, "steps": r.steps} for r in runs],
+        "runs": [_row(r) for r in runs],
         "objects": _by_object(runs),
+        "stages": _by_stage(runs),
     }
+
+
+def _row(run: Run) -> dict[str, Any]:
+    ended = {"stage": run.stages[-1]} if run.stages else {}
+    return {"seed": run.seed, "success": run.success, "steps": run.steps, **ended}
+
+
+def _by_stage(runs: Sequence[Run]) -> dict[str, int]:
+    """Episodes that got past each stage, where the planner's cost is a sequence of them."""
+    names = runs[0].settings.get("stages", []) if runs[0].stages else []
+    ends = [names.index(run.stages[-1]) for run in runs] if names else []
+    return {name: sum(end > k for end in ends) for k, name in enumerate(names[:-1])}
 
 
 def _by_object(runs: Sequence[Run]) -> dict[str, dict[str, int]]:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from pwm_gym.costs import STAGES_LEFT
 from pwm_gym.errors import PwmGymError
 from pwm_gym.files import load_arrays, save_arrays
 from pwm_gym.scene import SCHEMA, Scene
@@ -104,6 +105,18 @@ class Run:
     def steps(self) -> int:
         """Actions executed, T."""
         return len(self.actions)
+
+    @property
+    def stages(self) -> tuple[str, ...]:
+        """Name of the stage (T,) after each action, where the planner's cost is a sequence of stages; empty elsewhere.
+
+        The last name stands for what follows the last stage.
+        """
+        names, left = self.settings.get("stages"), self.terms.get(STAGES_LEFT)
+        if not names or left is None:
+            return ()
+        done = len(names) - 1 - np.round(left / self.settings["stage_price"]).astype(int)
+        return tuple(names[k] for k in done)
 
     def save(self, path: str | Path) -> None:
         """Write the record to an ``.npz`` file (arrays and JSON text, no pickle)."""

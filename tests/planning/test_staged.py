@@ -8,7 +8,8 @@ import torch
 
 from pwm_gym.costs import STAGES_LEFT, Stage, StagedCost, cost_info, get_grasp, terms
 from pwm_gym.envs import ModelVectorEnv
-from pwm_gym.planning import Agent, execute
+from pwm_gym.evaluation import planning_table
+from pwm_gym.planning import Agent, Run, execute
 from pwm_gym.scene import batch_state
 
 
@@ -75,13 +76,20 @@ def test_a_plans_costs_tell_stages_that_its_own_steps_reach(model_env):
     assert finished.tolist() == [[0.0, 0.0]]
 
 
-def test_a_runs_terms_follow_the_stages_of_its_episode(model_env):
+def test_a_runs_terms_follow_the_stages_of_its_episode(model_env, tmp_path):
     model_env.reset(seed=3)
     cost = there_and_back(tool_of(model_env.scene()), way=0.02)
     run = execute(model_env, Agent(model_env.model, cost=cost), seed=3, max_steps=20, chunk=5)
     left = run.terms[STAGES_LEFT]
     assert left[0] == 40.0 and set(np.unique(left)) <= {0.0, 20.0, 40.0} and (np.diff(left) <= 0).all()
     assert left[-1] < 40.0
+    assert [cost.stage_names[int(2 - k / 20.0)] for k in left] == list(run.stages)
+    run.save(tmp_path / "run.npz")
+    assert Run.load(tmp_path / "run.npz").stages == run.stages
+    table = planning_table([run])
+    assert table["runs"][0]["stage"] == run.stages[-1]
+    assert table["stages"] == {"left": 1, "back": int(run.stages[-1] == "finished")}
+    assert planning_table([replace(run, settings={})])["stages"] == {}
 
 
 def test_environments_tell_each_ones_stage_and_begin_anew(model_env):
