@@ -114,6 +114,7 @@ def twin_record(run: Run, predicted: str) -> TwinRecord:
         true_reward=np.array([run.rewards[0], *run.rewards]),
         title=f"{start.task}: planned in the world model, executed in the simulator",
         subtitle=f"seed {run.seed}; {predicted}",
+        stages=(run.stages[0], *run.stages) if run.stages else (),
     )
 
 

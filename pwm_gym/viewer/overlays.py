@@ -44,5 +44,8 @@ def draw_overlays(
         text(sheet, (left, top + _LABEL / 2), fit(record.subtitle, 13, width), 13, MUTED)
         views = Views(record, panel)
         for i, t in enumerate(np.linspace(0, record.steps - 1, steps).round().astype(int).tolist()):
-            sheet.paste(views.draw(2, t), (left + i * (panel + _GAP), top + _LABEL))
+            corner = (left + i * (panel + _GAP), top + _LABEL)
+            sheet.paste(views.draw(2, t), corner)
+            if record.stages:
+                text(sheet, (corner[0] + 4, corner[1] + panel - 8), fit(record.stages[t], 11, panel - 8), 11, MUTED)
     return sheet.quantize(_COLORS, dither=Image.Dither.NONE)

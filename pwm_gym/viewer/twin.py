@@ -53,6 +53,8 @@ class TwinRecord:
     """The figure's heading."""
     subtitle: str = ""
     """A second, smaller line."""
+    stages: tuple[str, ...] = ()
+    """What the planner is at in each step (T,), where its task is a sequence of stages."""
     camera: Camera | None = field(default=None)
     """The view; None fits one to the true trajectory."""
 
@@ -65,6 +67,8 @@ class TwinRecord:
             raise PwmGymError(f"predicted has shape {np.shape(self.predicted)}; expected {shape}")
         check_points(self.predicted, "predicted points")
         check_points(self.true, "true points")
+        if self.stages and len(self.stages) != shape[0]:
+            raise PwmGymError(f"{len(self.stages)} stages; expected one for each of {shape[0]} steps, or none")
         for name in ("error", "predicted_reward", "true_reward"):
             values = getattr(self, name)
             if values is not None and np.shape(values) != shape[:1]:
@@ -175,6 +179,8 @@ class _Figure:
         """The figure at step ``t``."""
         image = self.still.copy()
         text(image, (self.width - _MARGIN, 34), f"step {t} / {self.record.steps - 1}", 20, INK, "rm")
+        if self.record.stages:
+            text(image, (self.width - _MARGIN, 56), self.record.stages[t], 14, MUTED, "rm")
         for i in range(3):
             view = self.views.draw(i, t)
             image.paste(view, (_MARGIN + i * (self.panel + _GAP), self.top), _rounded(self.panel))
@@ -268,7 +274,8 @@ def _contact_sheet(record: TwinRecord, steps: list[int], panel: int) -> Image.Im
             place = (left + column * (panel + gap), top + row * (panel + gap))
             image.paste(views.draw(row, t), place, mask)
     for column, t in enumerate(steps):
-        text(image, (left + column * (panel + gap) + panel / 2, top - 14), f"step {t}", 14, MUTED, "mm")
+        label = f"step {t}: {record.stages[t]}" if record.stages else f"step {t}"
+        text(image, (left + column * (panel + gap) + panel / 2, top - 14), fit(label, 14, panel), 14, MUTED, "mm")
     for chart in _charts(record, left, below, width - _MARGIN):
         _marked(image, chart, steps)
     return image

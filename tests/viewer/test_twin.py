@@ -5,7 +5,7 @@ import pytest
 from PIL import Image
 
 from pwm_gym.errors import PwmGymError
-from pwm_gym.viewer import twin_frame, write_gif, write_png
+from pwm_gym.viewer import draw_overlays, twin_frame, write_gif, write_png
 from pwm_gym.viewer.chart import fit, nice_ticks
 
 
@@ -96,3 +96,17 @@ def test_ticks_enclose_the_values(low, high):
 def test_long_text_is_shortened():
     assert fit("short", 14, 200) == "short"
     assert fit("a very long heading indeed", 14, 60).endswith("...")
+
+
+def test_stages_are_written_beside_the_step(record, tmp_path):
+    staged = replace(record, stages=("open",) * 4 + ("close",) * 6)
+    plain, first, later = (twin_frame(r, t) for r, t in ((record, 2), (staged, 2), (staged, 6)))
+    assert not np.array_equal(plain, first)
+    rows, columns, _ = np.nonzero(plain != first)
+    assert rows.max() < 80 and columns.min() > plain.shape[1] / 2  # in the heading, at its right
+    assert not np.array_equal(first[:80], later[:80])
+    assert write_png(staged, tmp_path / "a.png").read_bytes() != write_png(record, tmp_path / "b.png").read_bytes()
+    one = (draw_overlays([r], "").convert("RGB") for r in (record, staged))
+    assert not np.array_equal(*map(np.asarray, one))
+    with pytest.raises(PwmGymError, match="2 stages; expected one for each of 10 steps"):
+        replace(record, stages=("open", "close"))
