@@ -15,6 +15,7 @@ from pwm_gym.commands.demo import Demo
 from pwm_gym.commands.envs import Envs
 from pwm_gym.commands.evaluate import Evaluate
 from pwm_gym.commands.plan import Plan
+from pwm_gym.commands.scenes import Scenes
 from pwm_gym.commands.train import Train
 from pwm_gym.commands.view import View
 from pwm_gym.errors import PwmGymError
@@ -31,6 +32,7 @@ Command = (
     | Annotated[Plan, tyro.conf.subcommand("plan")]
     | Annotated[View, tyro.conf.subcommand("view")]
     | Annotated[Bench, tyro.conf.subcommand("bench")]
+    | Annotated[Scenes, tyro.conf.subcommand("scenes")]
     | Annotated[CheckCost, tyro.conf.subcommand("check-cost")]
     | Annotated[Assets, tyro.conf.subcommand("assets")]
 )

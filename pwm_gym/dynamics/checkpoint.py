@@ -26,6 +26,7 @@ __all__ = [
     "SHIPPED",
     "Checkpoint",
     "SceneBank",
+    "bank_path",
     "default_checkpoints",
     "load_checkpoint",
     "resolve",
@@ -130,12 +131,17 @@ def save_checkpoint(
         "training": training,
         "metrics": metrics,
     }
-    named = {folder / f"{_SCENES}{bank.task}.npz": bank for bank in banks}
+    named = {bank_path(folder, bank.task): bank for bank in banks}
     for path in {*folder.glob(_BANKS)} - named.keys():
         path.unlink()  # of an earlier model's tasks
     for path, bank in named.items():
         bank.save(path)
     save_weights(folder, model, description)
+
+
+def bank_path(folder: Path, task: str) -> Path:
+    """File of a task's initial scenes in a checkpoint's folder."""
+    return folder / f"{_SCENES}{task}.npz"
 
 
 def shipped() -> dict[str, Path]:

@@ -318,9 +318,13 @@ def _describe(config: FitConfig, sources: Sequence[Dataset]) -> dict[str, Any]:
 
 
 def scene_bank(dataset: Dataset) -> SceneBank:
-    """Initial scenes of the first training episodes."""
-    chosen = dataset.episodes[:BANK]
-    used = sorted({int(k) for k in dataset.combination_of[:BANK]})
+    """Initial scenes of the first demonstrations: practice starts where no episode of the task does."""
+    kinds = np.array([KINDS[e.kind] for e in dataset.episodes])
+    shown = np.flatnonzero(np.isin(kinds, ("expert", "randomised")))[:BANK]
+    places = shown if len(shown) else np.arange(min(BANK, len(kinds)))
+    chosen = [dataset.episodes[k] for k in places]
+    combinations = np.asarray(dataset.combination_of)[places]
+    used = sorted({int(k) for k in combinations})
     named = any(e.assets for e in chosen)
     return SceneBank(
         dataset.task,
@@ -328,7 +332,7 @@ def scene_bank(dataset: Dataset) -> SceneBank:
         dataset.clouds[used],
         np.stack([e.poses[0] for e in chosen]),
         np.stack([e.goal for e in chosen]),
-        np.array([used.index(int(k)) for k in dataset.combination_of[:BANK]]),
+        np.array([used.index(int(k)) for k in combinations]),
         tuple(dataset.combinations[k] for k in used) if named else (),
         np.stack([e.joints[0, 0] for e in chosen]),
     )
