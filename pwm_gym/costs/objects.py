@@ -16,6 +16,7 @@ from pwm_gym.costs.terms import Info, Place, Term, closeness, middle, nearness, 
 from pwm_gym.robots.speeds import JointSpeeds
 
 __all__ = [
+    "aligned",
     "approach",
     "carry",
     "carry_onto",
@@ -184,12 +185,28 @@ def carry(name: str, target: Place) -> Term:
     return term
 
 
-def carry_onto(name: str, target: Place, clearance: float) -> Term:
-    """As :func:`carry`, up to 5, of the mean of the object's points, from ``clearance`` metres above the place."""
+def carry_onto(name: str, target: Place, clearance: float, within: float = 0.005, slope: float = 0.04) -> Term:
+    """As :func:`carry`, up to 5, of the mean of the object's points, from ``clearance`` metres above the place.
+
+    ``within`` and ``slope`` as of :func:`pwm_gym.costs.terms.way_from_above`.
+    """
 
     def term(points: Points, info: Info) -> Tensor:
-        way = way_from_above(contacts.centre(points, name) - target(points, info), clearance)
+        offset = contacts.centre(points, name) - target(points, info)
+        way = way_from_above(offset, clearance, within, slope)
         return _firmness(points, info, name) * closeness(way, 5.0, 0.45)
+
+    return term
+
+
+def aligned(name: str, target: Place) -> Term:
+    """How exactly the held object comes down on a place: 1 high on its axis, 3 in it, a quarter of that 4 mm beside."""
+
+    def term(points: Points, info: Info) -> Tensor:
+        offset = contacts.centre(points, name) - target(points, info)
+        exact = 1.0 - torch.tanh(offset[..., :2].norm(dim=-1) / 0.004)
+        low = 1.0 - torch.tanh(offset[..., 2].clamp_min(0.0) / 0.05)
+        return _firmness(points, info, name) * exact * (1.0 + 2.0 * low)
 
     return term
 

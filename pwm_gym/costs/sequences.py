@@ -12,6 +12,8 @@ Example:
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import torch
 from torch import Tensor
 
@@ -26,17 +28,19 @@ from pwm_gym.costs.terms import Info, Place, Term, tool, way_from_above
 __all__ = ["close_drawer", "close_lid", "insert", "open_drawer", "place", "put_in", "take"]
 
 _AT_PLACE = 0.02  # metres from a handle within which the fingers may shut
+_BAR_OPENING = 0.032  # metres between the pads over a bar: behind it there is no room for more
 _MOVED = 8.0  # weight of the whole way of a drawer or a lid
 
 
 def open_drawer(drawer: Drawer, least: float) -> Stage:
     """Close the fingers on the handle's bar from above, and pull until the drawer is open by ``least``."""
-    bar = drawers.handle(drawer)
+    bar, turn = drawers.handle(drawer), drawers.across_handle(drawer)
     return Stage(
         f"open {drawer.name}",
         {
-            "approach": (1.5, _approach(bar, clearance=0.04)),
-            "misalignment": (2.0, drawers.across_handle(drawer)),
+            "approach": (1.5, _approach(_over_until_turned(bar, turn), clearance=0.04)),
+            "misalignment": (3.0, turn),
+            "opening": (1.0, _opening_off(bar)),
             "premature_close": (4.0, _shut_off(bar)),
             "loose": (0.5, _open_at(bar)),
             "opened": (-_MOVED, drawers.opened(drawer)),
@@ -100,8 +104,16 @@ def put_in(name: str, drawer: Drawer, edge: float, height: float) -> Stage:
 
 
 def insert(name: str, lid: Lid, beside: float, above: float) -> Stage:
-    """Drop an object into a machine's holder; ``beside`` and ``above`` as of :func:`pwm_gym.costs.lids.seated`."""
-    return place(name, lid.machine, lids.holder(lid), lids.seated(lid, name, beside, above), clearance=0.05)
+    """Drop an object into a machine's holder; ``beside`` and ``above`` as of :func:`pwm_gym.costs.lids.seated`.
+
+    The holder is hardly wider than the object, which therefore comes down exactly on its axis.
+    """
+    target = lids.holder(lid)
+    stage = place(name, lid.machine, target, lids.seated(lid, name, beside, above))
+    carry = objects.carry_onto(name, target, clearance=0.035, within=0.0015, slope=0.004)
+    return replace(
+        stage, terms={**stage.terms, "carry": (-2.0, carry), "aligned": (-1.5, objects.aligned(name, target))}
+    )
 
 
 def close_lid(lid: Lid, most: float) -> Stage:
@@ -139,6 +151,27 @@ def _off(target: Place, points: Points, info: Info) -> Tensor:
     """Soft bool (B,): the tool is not at a place."""
     distance = (contacts.tool_centre(points) - target(points, info)).norm(dim=-1)
     return torch.sigmoid((distance - _AT_PLACE) / 0.003)
+
+
+def _over_until_turned(target: Place, turn: Term) -> Place:
+    """A place, and up to 7 cm over it while the fingers are not turned as they shall be there."""
+
+    def place(points: Points, info: Info) -> Tensor:
+        here = target(points, info)
+        raised = 0.07 * (4.0 * turn(points, info)).clamp(0.0, 1.0)
+        return torch.cat([here[..., :2], here[..., 2:] + raised.unsqueeze(-1)], -1)
+
+    return place
+
+
+def _opening_off(target: Place) -> Term:
+    """How far the fingers are from being as wide apart as a bar has room for, away from it: 1 at 2 cm more or less."""
+
+    def term(points: Points, info: Info) -> Tensor:
+        off = (contacts.opening(points) - _BAR_OPENING).abs() / 0.02
+        return off.clamp_max(2.0) * _off(target, points, info)
+
+    return term
 
 
 def _shut_off(target: Place) -> Term:

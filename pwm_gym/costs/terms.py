@@ -311,16 +311,18 @@ def carry_onto(name: str, target: Place, clearance: float = 0.02) -> Term:
     return term
 
 
-def way_from_above(offset: Tensor, clearance: float) -> Tensor:
+def way_from_above(offset: Tensor, clearance: float, within: float = 0.005, slope: float = 0.04) -> Tensor:
     """Length (B,) of a way that comes to a place from above, metres.
 
     Args:
         offset: from the place (B, 3).
-        clearance: height over the place that it has to have 4.5 cm beside it; it falls to 0 above the place.
+        clearance: height over the place that it has to have beside it.
+        within: distance beside the place up to which it needs no height.
+        slope: further distance over which it then needs more and more of the clearance.
     """
     beside = offset[..., :2].norm(dim=-1)
-    height = offset[..., 2] - clearance * ((beside - 0.005) / 0.04).clamp(0, 1)
-    above = min(0.8, 0.02 / clearance)  # so little that a step to the side always pays
+    height = offset[..., 2] - clearance * ((beside - within) / slope).clamp(0, 1)
+    above = min(0.8, 0.5 * slope / clearance)  # so little that a step to the side always pays
     return beside + torch.where(height < 0, -1.5 * height, above * height)
 
 
