@@ -67,7 +67,7 @@ def _facts(task: Task) -> list[str]:
     ]
     folder = default_checkpoints().get(task.name)
     if folder is not None:
-        tasks = ", ".join(load_checkpoint(folder).tasks)
+        tasks = ", ".join(load_checkpoint(folder).seen_tasks)
         facts.append(f"- checkpoint `{folder.name}`, trained on {tasks}")
     if task.object_sets:
         facts.append(f"- sets of objects: {', '.join(f'`{name}`' for name in task.object_sets)}")
