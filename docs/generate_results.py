@@ -55,8 +55,8 @@ command, machine, commit and date. Errors are of open-loop rollouts of the test 
 then predicts the rest of the episode under its actions. The paper's own figures stand in columns marked "paper, other
 data": its episodes, objects and simulator differ, so that they show the order of magnitude and nothing more.
 
-The shipped checkpoint `panda` is one model of PickCube, StackCube and PickYCB. It was trained on two of them, then on all
-three:
+The shipped checkpoint `panda` is one model of PickCube, StackCube and PickYCB. It was trained on two of them, then on
+all three:
 
 ```
 pwm-gym collect --task PickCube --episodes 900 --held-out 60 --practice 0.6

@@ -177,13 +177,14 @@ class Agent:
 
     def describe(self) -> dict[str, Any]:
         """What it plans with: model, planner and cost by name, and the cost's stages where it has some."""
-        staged = isinstance(self.cost, StagedCost)
+        cost = self.cost
+        stages = {"stages": list(cost.stage_names), "stage_price": cost.price} if isinstance(cost, StagedCost) else {}
         return {
             "model": type(self.model).__name__,
             "planner": type(self.planner).__name__,
             "cost": self.cost.name,
             "caution": self.objective.caution,
-            **({"stages": list(self.cost.stage_names), "stage_price": self.cost.price} if staged else {}),
+            **stages,
         }
 
     def _present(self) -> State:

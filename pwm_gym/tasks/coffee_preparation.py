@@ -5,8 +5,9 @@ Its planning cost is a sequence of the stages of other tasks, and no term of it 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from torch import Tensor
@@ -111,7 +112,7 @@ def _simulator() -> Simulator:
     from pwm_gym.sim.maniskill import ManiSkillSimulator
     from pwm_gym.sim.maniskill.scenes import MugChoice
 
-    bodies = {
+    bodies: dict[str, str | Callable[[Any], Any]] = {
         **PANDA.links,
         "machine": "machine/machine",
         "lid": "machine/lid",

@@ -162,7 +162,7 @@ def _seen(init: str, sources: list[Dataset]) -> dict[str, list[str]]:
     return {"seen_tasks": tasks, "seen_joints": joints}
 
 
-def _joints(sources: list[Dataset]) -> list[str]:
+def _joints(sources: Sequence[Dataset]) -> list[str]:
     """Kinds of joints of what the robot does not drive."""
     return sorted({e.joint.kind for dataset in sources for e in dataset.layout if not e.driven})
 

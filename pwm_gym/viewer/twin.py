@@ -274,8 +274,8 @@ def _contact_sheet(record: TwinRecord, steps: list[int], panel: int) -> Image.Im
             place = (left + column * (panel + gap), top + row * (panel + gap))
             image.paste(views.draw(row, t), place, mask)
     for column, t in enumerate(steps):
-        label = f"step {t}: {record.stages[t]}" if record.stages else f"step {t}"
-        text(image, (left + column * (panel + gap) + panel / 2, top - 14), fit(label, 14, panel), 14, MUTED, "mm")
+        told = f"step {t}: {record.stages[t]}" if record.stages else f"step {t}"
+        text(image, (left + column * (panel + gap) + panel / 2, top - 14), fit(told, 14, panel), 14, MUTED, "mm")
     for chart in _charts(record, left, below, width - _MARGIN):
         _marked(image, chart, steps)
     return image
