@@ -30,6 +30,7 @@ _TASKS = {
     "PickYCB, unseen objects": "evaluate_pick_ycb_unseen",
     "MugCleanup": "evaluate_mug_cleanup",
     "Coffee": "evaluate_coffee",
+    "CoffeePreparation, never trained on": "evaluate_coffee_preparation",
 }
 _PAPER = {
     "PickCube": "0.009 m and 0.86",
@@ -38,6 +39,7 @@ _PAPER = {
     "PickYCB, unseen objects": "none",
     "MugCleanup": "0.022 m and 0.79",
     "Coffee": "none",
+    "CoffeePreparation, never trained on": "none",
 }
 _PLANNED = {
     "PickCube": "plan_pick_cube",

@@ -118,7 +118,9 @@ def toy(monkeypatch):
     )
     monkeypatch.setitem(TASKS, "Toy", task)
     model = build_model("still", LAYOUT, task.control)
-    checkpoint = SimpleNamespace(model=model, bank=lambda task: ToyBank(), check_robot=lambda *_: None)
+    checkpoint = SimpleNamespace(
+        model=model, bank=lambda task: ToyBank(), check_robot=lambda *_: None, check_joints=lambda *_: None
+    )
     monkeypatch.setattr("pwm_gym.envs.model_vector_env.resolve", lambda *_: None)
     monkeypatch.setattr("pwm_gym.envs.model_vector_env.load_checkpoint", lambda *_: checkpoint)
     return task
