@@ -104,7 +104,8 @@ def task_tables() -> list[str]:
             name = f"table_{table}_{suffix}"
             if (result := read(name)) is not None:
                 title = f"{task}: {result['caption'][0].lower()}{result['caption'][1:]}"
-                found.append(planning_table(name, title) if "planning" in table else _table(name, result, title))
+                bare = {**result, "rows": [{**row, "paper, other data": ""} for row in result["rows"]]}  # of PickCube
+                found.append(planning_table(name, title) if "planning" in table else _table(name, bare, title))
     return found
 
 
