@@ -60,7 +60,10 @@ class Cost:
         Raises:
             PwmGymError: an entity that the scene lacks, a wrong shape, or values that are not finite.
         """
-        return {n: w * self._checked(n, f, points, info) for n, (w, f) in self.terms.items()}
+        return self._weighted(self.terms, points, info)
+
+    def _weighted(self, terms: Mapping[str, tuple[float, Function]], points: Points, info: Info) -> dict[str, Tensor]:
+        return {n: w * self._checked(n, f, points, info) for n, (w, f) in terms.items()}
 
     def plus(self, terms: Mapping[str, tuple[float, Function]]) -> Self:
         """This cost with further weighted terms.

@@ -12,6 +12,7 @@ Example:
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import torch
@@ -23,9 +24,12 @@ from pwm_gym.costs.drawers import Drawer
 from pwm_gym.costs.lids import Lid
 from pwm_gym.costs.registry import Function
 from pwm_gym.costs.stages import Stage
-from pwm_gym.costs.terms import Info, Place, Term, tool, way_from_above
+from pwm_gym.costs.terms import Info, Place, Term, effort, ground_contact, tool, way_from_above
 
-__all__ = ["close_drawer", "close_lid", "insert", "open_drawer", "place", "put_in", "take"]
+__all__ = ["ALWAYS", "close_drawer", "close_lid", "insert", "open_drawer", "place", "put_in", "take"]
+
+ALWAYS: Mapping[str, tuple[float, Function]] = {"ground_contact": (1.0, ground_contact), "effort": (1.0, effort)}
+"""Terms that count in every stage."""
 
 _AT_PLACE = 0.02  # metres from a handle within which the fingers may shut
 _BAR_OPENING = 0.032  # metres between the pads over a bar: behind it there is no room for more
@@ -97,19 +101,18 @@ def place(name: str, onto: str, target: Place, arrived: Term, clearance: float =
     return Stage(f"place {name} at {onto}", {**terms, "hold_on": (2.0, _both(arrived, held))}, done)
 
 
-def put_in(name: str, drawer: Drawer, edge: float, height: float) -> Stage:
-    """Put an object into an open drawer; ``edge`` and ``height`` as of :func:`pwm_gym.costs.drawers.inside`."""
-    inside = drawers.inside(drawer, name, edge, height)
+def put_in(name: str, drawer: Drawer, inside: Term) -> Stage:
+    """Put an object into an open drawer, until the rule ``inside`` says that it is there."""
     return place(name, drawer.name, drawers.spot(drawer, name), inside, clearance=0.08)
 
 
-def insert(name: str, lid: Lid, beside: float, above: float) -> Stage:
-    """Drop an object into a machine's holder; ``beside`` and ``above`` as of :func:`pwm_gym.costs.lids.seated`.
+def insert(name: str, lid: Lid, seated: Term) -> Stage:
+    """Drop an object into a machine's holder, until the rule ``seated`` says that it is there.
 
     The holder is hardly wider than the object, which therefore comes down exactly on its axis.
     """
     target = lids.holder(lid)
-    stage = place(name, lid.machine, target, lids.seated(lid, name, beside, above))
+    stage = place(name, lid.machine, target, seated)
     carry = objects.carry_onto(name, target, clearance=0.035, within=0.0015, slope=0.004)
     return replace(
         stage, terms={**stage.terms, "carry": (-2.0, carry), "aligned": (-1.5, objects.aligned(name, target))}

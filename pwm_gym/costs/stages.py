@@ -116,13 +116,11 @@ class StagedCost(Cost):
             stage = self.advance(self.begin(batch, device), points, info)
         values = super().evaluate(points, info)
         values[STAGES_LEFT] = self.price * (len(self.stages) - stage).to(torch.float32)
+        nothing = values[STAGES_LEFT].new_zeros(batch)
         for k, part in enumerate(self.stages):
             here = stage == k
-            told = Cost(self.name, part.terms).evaluate(points, info) if here.any() else {}
-            for name in part.terms:
-                value = told.get(name)
-                missing = values[STAGES_LEFT].new_zeros(batch)
-                values[f"{part.name}: {name}"] = missing if value is None else torch.where(here, value, missing)
+            told = self._weighted(part.terms, points, info) if here.any() else dict.fromkeys(part.terms, nothing)
+            values |= {f"{part.name}: {name}": torch.where(here, value, nothing) for name, value in told.items()}
         return values
 
     def _over(self, k: int, points: Points, info: Info) -> Tensor:

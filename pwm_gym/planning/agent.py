@@ -56,7 +56,8 @@ class Agent:
         self._generator = torch.Generator(device).manual_seed(seed)
         self._state: State | None = None
         self._seen_stage: Tensor | None = None  # (B,) of a staged cost, where it last looked
-        self._stage: Tensor | None = None  # (B,) in the present state
+        self._last_stage: Tensor | None = None  # (B,) in the state before the present one
+        self._stage: Tensor | None = None  # (B,) in the present state, where it has been asked for
         self._goal = torch.empty(0)
         self._action: Tensor | None = None  # (B, A), that led to the state, where it is known
         self._one = True  # whether it looked at one scene, not at a sequence of them
@@ -65,7 +66,8 @@ class Agent:
         """Forget the last plan and the last scene, and reseed the noise."""
         self.planner.reset()
         self._generator.manual_seed(seed)
-        self._state = self._action = self._stage = self._seen_stage = None
+        self._state = self._action = None
+        self._stage = self._last_stage = self._seen_stage = None
 
     def look(self, scene: Scene | Sequence[Scene]) -> None:
         """Go on from a scene, or from several at once, which may have entities besides the task's.
@@ -86,24 +88,27 @@ class Agent:
         self._action = None
         if len(actions) == len(scenes):
             self._action = torch.as_tensor(np.stack(actions), dtype=torch.float32, device=self.device)
-        self._seen_stage = self._stage = self._advanced(self._seen_stage)
+        self._last_stage, self._stage = self._seen_stage, None
+        self._seen_stage = self._present_stage()
 
-    def _advanced(self, stage: Tensor | None) -> Tensor | None:
-        """Stage (B,) of a staged cost in the present state, that was ``stage`` before; None is its first."""
-        if not isinstance(self.cost, StagedCost):
-            return None
-        size = len(self._goal)
-        if stage is None or len(stage) != size:
-            stage = self.cost.begin(size, self.device)
-        action = self._goal.new_zeros(size, self.task.action_size) if self._action is None else self._action
-        return self.cost.advance(stage, *cost_info(self._present(), action, self._goal, self.objective.grasp))
+    def _present_stage(self) -> Tensor | None:
+        """Stage (B,) of a staged cost in the present state; None of other costs."""
+        if self._stage is None and isinstance(self.cost, StagedCost):
+            size, before = len(self._goal), self._last_stage
+            if before is None or len(before) != size:
+                before = self.cost.begin(size, self.device)
+            action = self._goal.new_zeros(size, self.task.action_size) if self._action is None else self._action
+            seen = cost_info(self._present(), action, self._goal, self.objective.grasp)
+            self._stage = self.cost.advance(before, *seen)
+        return self._stage
 
     @property
     def stage(self) -> tuple[str, ...]:
         """Name of the stage of each scene, where the cost is a sequence of stages; empty elsewhere."""
-        if not isinstance(self.cost, StagedCost) or self._stage is None:
+        stage = None if self._state is None else self._present_stage()
+        if not isinstance(self.cost, StagedCost) or stage is None:
             return ()
-        return tuple(self.cost.stage_names[int(k)] for k in self._stage)
+        return tuple(self.cost.stage_names[int(k)] for k in stage)
 
     def _check(self, scene: Scene) -> None:
         wanted, size = self.task.layout.names, self.task.action_size
@@ -125,7 +130,7 @@ class Agent:
         """
         if scene is not None:
             self.look(scene)
-        objective = self.objective.begin(self._present(), self._goal, self._stage)
+        objective = self.objective.begin(self._present(), self._goal, self._present_stage())
         plans = self.planner.plan(objective, self._generator, len(self._goal), self._action).cpu().numpy()
         return plans[0].copy() if self._one else plans.copy()  # the planner keeps its own
 
@@ -138,9 +143,9 @@ class Agent:
         """Take the model's prediction (B,) of an action (A,), or of actions (B, A), for the present state."""
         command = torch.as_tensor(action, dtype=torch.float32, device=self.device)
         actions = command[None] if self._one else command
+        self._last_stage, self._stage = self._present_stage(), None
         self._state = self.model.step(self._present(), actions)
         self._action = actions
-        self._stage = self._advanced(self._stage)
         return self._state
 
     @torch.no_grad()

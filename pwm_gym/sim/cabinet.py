@@ -18,6 +18,7 @@ __all__ = [
     "DRAWER_TO",
     "HANDLE",
     "HANDLE_WIDTH",
+    "OPENED",
     "PLACE",
     "STROKE",
     "TRAY",
@@ -28,6 +29,8 @@ CABINET_HALF = (0.11, 0.12, 0.0525)
 """Half its sides."""
 STROKE = 0.16
 """Way of the drawer."""
+OPENED = 0.12
+"""Way of the drawer from which it counts as open."""
 HANDLE_WIDTH = 0.012
 """Thickness of the handle's bar, which is grasped from above."""
 

@@ -25,6 +25,8 @@ __all__ = [
     "POD_HEIGHT",
     "POD_RADIUS",
     "RIM",
+    "SEATED",
+    "SHUT_ANGLE",
     "TOWER_TOP",
 ]
 
@@ -35,6 +37,10 @@ HOLDER_FLOOR = RIM - 0.026
 """Height of the floor that the pod stands on."""
 OPEN_ANGLE = math.radians(105)
 """Of the lid, which its weight then keeps open."""
+SHUT_ANGLE = math.radians(5)
+"""At most which it counts as shut."""
+SEATED = (0.006, 0.008)
+"""Of a pod that counts as put in: at most so far beside the holder's axis, and over its floor."""
 LID_LENGTH = 0.085
 MUG_AHEAD = 0.175
 """Where a mug stands, before the holder's axis: under the holder there is no room for a hand."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import radians
 
 import numpy as np
 from torch import Tensor
@@ -25,21 +24,19 @@ from pwm_gym.costs.motion import joint_speed
 from pwm_gym.robots.panda import JOINT_SPEEDS, PANDA, layout
 from pwm_gym.scene import FIXED
 from pwm_gym.sim import Simulator
-from pwm_gym.sim.coffee_machine import LID_JOINT
+from pwm_gym.sim.coffee_machine import LID_JOINT, SEATED, SHUT_ANGLE
 from pwm_gym.skills import Brew
 from pwm_gym.tasks.registry import Task, register_task
 
-__all__ = ["COFFEE", "SHUT", "CoffeeExpert"]
+__all__ = ["COFFEE", "CoffeeExpert"]
 
-SHUT = radians(5.0)
-"""Angle of the lid, at the most, that counts as shut: the simulator's threshold."""
 _STATIC = 0.2  # rad/s: the simulator's threshold
 _JOINTS = {"machine": FIXED, "lid": LID_JOINT}
 _LAYOUT = layout({"machine": 1408, "lid": 640, "pod": 512}, points=512, joints=_JOINTS)
 _LID = lids.COFFEE_LID
 _held = terms.pinch("pod")
-_seated = lids.seated(_LID, "pod", beside=0.006, above=0.008)
-_is_shut = lids.shut_to(_LID, SHUT)
+_seated = lids.seated(_LID, "pod", *SEATED)
+_is_shut = lids.shut_to(_LID, SHUT_ANGLE)
 register_grasp("coffee")(_held)
 
 
@@ -64,8 +61,8 @@ register_terms(  # minus the simulator's normalised shaped reward
 )
 register_stages(
     "coffee_plan",
-    [sequences.insert("pod", _LID, beside=0.006, above=0.008), sequences.close_lid(_LID, SHUT)],
-    {"ground_contact": (1.0, terms.ground_contact), "effort": (1.0, terms.effort)},
+    [sequences.insert("pod", _LID, _seated), sequences.close_lid(_LID, SHUT_ANGLE)],
+    sequences.ALWAYS,
 )
 
 

@@ -29,12 +29,10 @@ from pwm_gym.costs.motion import joint_speed
 from pwm_gym.robots.panda import JOINT_SPEEDS, PANDA, layout
 from pwm_gym.scene import FIXED
 from pwm_gym.sim import Simulator
-from pwm_gym.sim.cabinet import DRAWER_JOINT
-from pwm_gym.sim.coffee_machine import LID_JOINT
+from pwm_gym.sim.cabinet import DRAWER_JOINT, OPENED
+from pwm_gym.sim.coffee_machine import LID_JOINT, SEATED, SHUT_ANGLE
 from pwm_gym.sim.mugs import get_mug
 from pwm_gym.skills import Prepare
-from pwm_gym.tasks.coffee import SHUT
-from pwm_gym.tasks.mug_cleanup import OPEN
 from pwm_gym.tasks.registry import Task, register_task
 
 __all__ = ["COFFEE_PREPARATION", "CoffeePreparationExpert"]
@@ -47,8 +45,8 @@ _LID, _DRAWER = lids.COFFEE_LID, drawers.CABINET_DRAWER
 _holds_mug, _holds_pod = objects.held("mug"), terms.pinch("pod")
 _stand = lids.before(_LID, "mug")
 _stands = terms.resting_on("mug", _stand, beside=0.02, height=0.006)
-_seated = lids.seated(_LID, "pod", beside=0.006, above=0.008)
-_is_open, _is_shut = drawers.open_to(_DRAWER, OPEN), lids.shut_to(_LID, SHUT)
+_seated = lids.seated(_LID, "pod", *SEATED)
+_is_open, _is_shut = drawers.open_to(_DRAWER, OPENED), lids.shut_to(_LID, SHUT_ANGLE)
 register_grasp("coffee_preparation")(_holds_pod)
 
 
@@ -83,12 +81,12 @@ register_stages(
     "coffee_preparation_plan",
     [
         sequences.place("mug", "machine", _stand, _stands),
-        sequences.open_drawer(_DRAWER, OPEN),
+        sequences.open_drawer(_DRAWER, OPENED),
         sequences.take("pod", 0.06, until=_seated),
-        sequences.insert("pod", _LID, beside=0.006, above=0.008),
-        sequences.close_lid(_LID, SHUT),
+        sequences.insert("pod", _LID, _seated),
+        sequences.close_lid(_LID, SHUT_ANGLE),
     ],
-    {"ground_contact": (1.0, terms.ground_contact), "effort": (1.0, terms.effort)},
+    sequences.ALWAYS,
 )
 
 

@@ -25,22 +25,20 @@ from pwm_gym.errors import PwmGymError
 from pwm_gym.robots.panda import JOINT_SPEEDS, PANDA, layout
 from pwm_gym.scene import FIXED
 from pwm_gym.sim import Simulator
-from pwm_gym.sim.cabinet import DRAWER_JOINT
+from pwm_gym.sim.cabinet import DRAWER_JOINT, OPENED
 from pwm_gym.sim.mugs import get_mug
 from pwm_gym.skills import CleanUp
 from pwm_gym.tasks.registry import Task, register_task
 
-__all__ = ["MUG_CLEANUP", "OPEN", "MugCleanupExpert"]
+__all__ = ["MUG_CLEANUP", "MugCleanupExpert"]
 
-OPEN = 0.12
-"""Metres of the drawer's way from which it counts as open: the simulator's threshold."""
 _SHUT, _STATIC = 0.008, 0.2  # metres, and rad/s: the simulator's thresholds
 _JOINTS = {"cabinet": FIXED, "drawer": DRAWER_JOINT}
 _LAYOUT = layout({"cabinet": 2560, "drawer": 2560, "mug": 1536}, points=512, joints=_JOINTS)
 _DRAWER = drawers.CABINET_DRAWER
 _held = objects.held("mug")
 _inside = drawers.inside(_DRAWER, "mug", edge=0.025, height=0.014)
-_is_open = drawers.open_to(_DRAWER, OPEN)
+_is_open = drawers.open_to(_DRAWER, OPENED)
 _is_shut = drawers.shut_to(_DRAWER, _SHUT)
 register_grasp("mug_cleanup")(_held)  # by the rim, far from the mug's centre
 
@@ -69,11 +67,11 @@ register_terms(  # minus the simulator's normalised shaped reward
 register_stages(
     "mug_cleanup_plan",
     [
-        sequences.open_drawer(_DRAWER, OPEN),
-        sequences.put_in("mug", _DRAWER, edge=0.025, height=0.014),
+        sequences.open_drawer(_DRAWER, OPENED),
+        sequences.put_in("mug", _DRAWER, _inside),
         sequences.close_drawer(_DRAWER, _SHUT),
     ],
-    {"ground_contact": (1.0, terms.ground_contact), "effort": (1.0, terms.effort)},
+    sequences.ALWAYS,
 )
 
 

@@ -18,7 +18,7 @@ from pwm_gym.data.dataset import Dataset, load_split, read_header
 from pwm_gym.data.episodes import KINDS
 from pwm_gym.data.partial import PartialWindows, visible_split
 from pwm_gym.data.windows import Windows, mixed
-from pwm_gym.dynamics.checkpoint import SceneBank, load_checkpoint, resolve, save_checkpoint, use_device
+from pwm_gym.dynamics.checkpoint import Checkpoint, SceneBank, load_checkpoint, resolve, save_checkpoint, use_device
 from pwm_gym.dynamics.model import WorldModel
 from pwm_gym.dynamics.protocols import FitsResponse, LearnsError, Transitions
 from pwm_gym.dynamics.registry import build_model
@@ -90,6 +90,7 @@ def fit(config: FitConfig, training: TrainConfig, validate: Validate, progress: 
 
     Raises:
         DatasetError: a data set is missing, truncated, or of another robot than the others.
+        UnknownNameError: there is no checkpoint of the name ``init``.
     """
     use_device(training.device)
     sources = load_sources(config.folders, "train")
@@ -102,7 +103,8 @@ def fit(config: FitConfig, training: TrainConfig, validate: Validate, progress: 
     torch.set_num_threads(training.threads)  # before the fits: sums depend on it, and a resumed run must find the same
     torch.manual_seed(training.seed)
     model: Any
-    kind, model = _fresh(config, sources[0].layout, tasks[0])
+    earlier = load_checkpoint(resolve(config.init, tasks[0].name)) if config.init else None
+    kind, model = _fresh(config, earlier, sources[0].layout, tasks[0])
     if not has_state(out) and not config.init:  # a resumed run reads what was fitted
         fit_response(model, sources, config.arm_steps)
     checkpoint = out / "checkpoint"
@@ -111,7 +113,7 @@ def fit(config: FitConfig, training: TrainConfig, validate: Validate, progress: 
         "data": _describe(config, sources),
         "windows_boost": config.boost,
         "init": config.init,
-        **_seen(config.init, sources),
+        **_seen(earlier, sources),
     }
     banks = [scene_bank(dataset) for dataset in sources]
 
@@ -132,31 +134,28 @@ def fit(config: FitConfig, training: TrainConfig, validate: Validate, progress: 
     return checkpoint
 
 
-def _fresh(config: FitConfig, layout: Layout, task: Task) -> tuple[str, nn.Module]:
-    """Kind of model, and the model that training starts from.
+def _fresh(config: FitConfig, earlier: Checkpoint | None, layout: Layout, task: Task) -> tuple[str, nn.Module]:
+    """Kind of model, and the model that training starts from: that of the ``earlier`` checkpoint if there is one.
 
     Raises:
-        UnknownNameError: there is no checkpoint of the name ``init``.
         CheckpointError: that checkpoint is of another robot.
         PwmGymError: settings beside ``init``, which has its own.
     """
-    if not config.init:
+    if earlier is None:
         fresh: Any = build_model(config.model, layout, task.control, config.settings)
         return config.model, fresh
     if config.settings:
         raise PwmGymError(f"settings={config.settings} beside init={config.init!r}; expected none: it has its own")
-    checkpoint = load_checkpoint(resolve(config.init, task.name))
-    checkpoint.check_robot(layout, task.control)
-    model: Any = build_model(checkpoint.kind, layout, task.control, checkpoint.description["config"])
-    model.load_state_dict(cast("nn.Module", checkpoint.model).state_dict())
-    return checkpoint.kind, model
+    earlier.check_robot(layout, task.control)
+    model: Any = build_model(earlier.kind, layout, task.control, earlier.description["config"])
+    model.load_state_dict(cast("nn.Module", earlier.model).state_dict())
+    return earlier.kind, model
 
 
-def _seen(init: str, sources: list[Dataset]) -> dict[str, list[str]]:
+def _seen(earlier: Checkpoint | None, sources: list[Dataset]) -> dict[str, list[str]]:
     """Tasks and kinds of joints that the weights will have seen, also in the checkpoint that training starts from."""
     tasks, joints = [dataset.task for dataset in sources], _joints(sources)
-    if init:
-        earlier = load_checkpoint(resolve(init, tasks[0]))
+    if earlier is not None:
         tasks = [*earlier.seen_tasks, *(name for name in tasks if name not in earlier.seen_tasks)]
         joints = sorted({*joints, *earlier.seen_joints})
     return {"seen_tasks": tasks, "seen_joints": joints}

@@ -65,7 +65,7 @@ def test_a_plans_costs_tell_stages_that_its_own_steps_reach(model_env):
     prices = replace(cost, stages=tuple(replace(stage, terms={}) for stage in cost.stages))
     agent = Agent(model_env.model, cost=prices)
     agent.look(model_env.scene())
-    objective = agent.objective.begin(agent._present(), agent._goal, agent._stage)
+    objective = agent.objective.begin(agent._present(), agent._goal, agent._present_stage())
     actions = torch.zeros(1, 2, 10, 7)
     actions[..., -1] = 1.0
     actions[0, 1, :, 1] = 0.5  # to the left

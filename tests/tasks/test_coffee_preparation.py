@@ -1,11 +1,10 @@
 import gymnasium as gym
 import numpy as np
 import pytest
-import torch
+from demonstrating import demonstration, steps_to_success
 from gymnasium.utils.env_checker import check_env
 
-from pwm_gym.costs import cost_info, get_cost, get_grasp, get_success
-from pwm_gym.scene import Scene, batch_state, sample_clouds
+from pwm_gym.costs import get_cost, get_grasp, get_success
 from pwm_gym.seeds import seed_range
 from pwm_gym.tasks import get_task
 
@@ -21,33 +20,9 @@ def simulator():
     simulator.close()
 
 
-def run(simulator, seed):
-    """Expert's steps until the simulator calls it a success; one more than the limit if it never does."""
-    simulator.reset(seed)
-    expert = TASK.expert(np.random.default_rng(seed))
-    for step in range(1, LIMIT + 1):
-        if simulator.step(expert.act(simulator.poses(), simulator.goal(), simulator.assets())).success:
-            return step
-    return LIMIT + 1
-
-
 @pytest.fixture(scope="module")
 def episode(simulator):
-    """An expert's episode until 5 steps past success: scenes, what costs read of them, and outcomes."""
-    seed = seed_range("test", 1)[0]
-    simulator.reset(seed)
-    expert, assets = TASK.expert(np.random.default_rng(seed)), simulator.assets()
-    clouds = sample_clouds(simulator.meshes(), TASK.layout, TASK.cloud_seed)
-    poses, scenes, actions, outcomes = [simulator.poses()] * 3, [], [], []
-    while sum(o.success for o in outcomes) < 5 and len(outcomes) < LIMIT:
-        actions.append(expert.act(simulator.poses(), simulator.goal(), assets))
-        outcomes.append(simulator.step(actions[-1]))
-        poses.insert(0, simulator.poses())
-        last = np.stack(poses[:3])
-        scenes.append(Scene(TASK.name, TASK.layout, clouds, last, simulator.goal(), simulator.joints(), assets=assets))
-    goals = torch.zeros(len(scenes), 0)
-    view = cost_info(batch_state(scenes), torch.as_tensor(np.array(actions)), goals, get_grasp(TASK.grasp))
-    return scenes, view, outcomes
+    return demonstration(TASK, simulator, seed_range("test", 1)[0])
 
 
 def test_the_expert_brings_the_mug_and_puts_the_drawers_pod_into_the_machine(episode):
@@ -61,7 +36,7 @@ def test_the_expert_brings_the_mug_and_puts_the_drawers_pod_into_the_machine(epi
 
 @pytest.mark.slow
 def test_the_expert_succeeds_in_most_of_50_episodes(simulator):
-    steps = np.array([run(simulator, seed) for seed in seed_range("test", 50)])
+    steps = np.array([steps_to_success(TASK, simulator, seed) for seed in seed_range("test", 50)])
     assert (steps <= LIMIT).mean() >= 0.85, steps
 
 

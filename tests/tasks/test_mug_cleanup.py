@@ -2,11 +2,12 @@ import gymnasium as gym
 import numpy as np
 import pytest
 import torch
+from demonstrating import demonstration, steps_to_success
 from gymnasium.utils.env_checker import check_env
 
 from pwm_gym.costs import cost_info, drawers, get_cost, get_grasp, get_success
 from pwm_gym.errors import PwmGymError, UnknownNameError
-from pwm_gym.scene import Scene, batch_state, sample_clouds
+from pwm_gym.scene import batch_state
 from pwm_gym.seeds import seed_range
 from pwm_gym.sim.cabinet import STROKE
 from pwm_gym.sim.mugs import MUGS, get_mug
@@ -17,33 +18,9 @@ LIMIT = TASK.max_episode_steps
 DRAWER = TASK.layout.index("drawer")
 
 
-def run(simulator, seed):
-    """Expert's steps until the simulator calls it a success; one more than the limit if it never does."""
-    simulator.reset(seed)
-    expert, assets = TASK.expert(np.random.default_rng(seed)), simulator.assets()
-    for step in range(1, LIMIT + 1):
-        if simulator.step(expert.act(simulator.poses(), simulator.goal(), assets)).success:
-            return step
-    return LIMIT + 1
-
-
 @pytest.fixture(scope="module")
 def episode(mug_simulator):
-    """An expert's episode until 5 steps past success: scenes, what costs read of them, and outcomes."""
-    simulator, seed = mug_simulator, seed_range("test", 1)[0]
-    simulator.reset(seed)
-    expert, assets = TASK.expert(np.random.default_rng(seed)), simulator.assets()
-    clouds = sample_clouds(simulator.meshes(), TASK.layout, TASK.cloud_seed)
-    poses, scenes, actions, outcomes = [simulator.poses()] * 3, [], [], []
-    while sum(o.success for o in outcomes) < 5 and len(outcomes) < LIMIT:
-        actions.append(expert.act(simulator.poses(), simulator.goal(), assets))
-        outcomes.append(simulator.step(actions[-1]))
-        poses.insert(0, simulator.poses())
-        last = np.stack(poses[:3])
-        scenes.append(Scene(TASK.name, TASK.layout, clouds, last, simulator.goal(), simulator.joints(), assets=assets))
-    goals = torch.zeros(len(scenes), 0)
-    view = cost_info(batch_state(scenes), torch.as_tensor(np.array(actions)), goals, get_grasp(TASK.grasp))
-    return scenes, view, outcomes
+    return demonstration(TASK, mug_simulator, seed_range("test", 1)[0])
 
 
 def true_openings(scenes):
@@ -60,12 +37,12 @@ def test_the_experts_episode_opens_the_drawer_and_shuts_it(episode):
 
 
 def test_the_expert_succeeds_with_another_mug(mug_simulator):
-    assert 180 < run(mug_simulator, seed_range("validation", 1)[0]) <= LIMIT
+    assert 180 < steps_to_success(TASK, mug_simulator, seed_range("validation", 1)[0]) <= LIMIT
 
 
 @pytest.mark.slow
 def test_the_expert_succeeds_in_nearly_every_of_50_episodes(mug_simulator):
-    steps = np.array([run(mug_simulator, seed) for seed in seed_range("test", 50)])
+    steps = np.array([steps_to_success(TASK, mug_simulator, seed) for seed in seed_range("test", 50)])
     assert (steps <= LIMIT).mean() >= 0.95, steps
 
 

@@ -14,12 +14,13 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-from pwm_gym.dynamics.compact.plan import Places, Plan
+from pwm_gym.dynamics.compact.plan import Plan
+from pwm_gym.dynamics.compact.shapes import LENGTH, NEAR, TOUCH, Pooled, Shapes
 from pwm_gym.scene.se3 import transform
 
-__all__ = ["PAIR_FEATURES", "Contacts", "LinkShapes", "MoverContacts", "Shapes"]
+__all__ = ["PAIR_FEATURES", "Contacts", "MoverContacts"]
 
-_LENGTH, _NEAR, _TOUCH, _STEP = 0.1, 0.01, 0.005, 0.01  # metres that count as 1
+_STEP = 0.01  # metres that count as 1
 _DEPTH, _SPEED = 0.002, 0.001
 _FADE = 0.03  # metres beyond which entities that are no links do not see each other
 _HANGING, _HANGS = 0.004, 0.004  # metres: what is farther than the first (plus the second) from all is unsupported
@@ -43,99 +44,6 @@ class Contacts:
     """World-frame point (B, F, P, 3) of each mover that is nearest to each partner, where some move along joints."""
 
 
-class _Pooled(nn.Module):
-    """A network of points, and what its largest and mean outputs tell."""
-
-    def __init__(self, features: int, width: int, size: int) -> None:
-        super().__init__()
-        self.net = nn.Sequential(
-            nn.Linear(features, width), nn.ReLU(inplace=True), nn.Linear(width, width), nn.ReLU(inplace=True)
-        )
-        self.out = nn.Linear(2 * width, size)
-
-    def forward(self, rows: list[Tensor]) -> Tensor:
-        """(B, F, C) of points' features: rows (B, F, k, n), all of which one large product takes."""
-        features = torch.cat([row.permute(2, 0, 1, 3) for row in rows])  # (K, B, F, n)
-        hidden = self.net(features.flatten(1).t()).unflatten(0, features.shape[1:])
-        return self.out(torch.cat([hidden.amax(-2), hidden.mean(-2)], -1))
-
-
-@dataclass(frozen=True)
-class Shapes:
-    """The points of each entity that are read, in its own frame."""
-
-    points: Tensor
-    """Homogeneous (B, P, 4, n): along the points in memory, which is faster to multiply and to reduce."""
-    low: Tensor
-    """Corner (B, P, 3) of the box around them."""
-    high: Tensor
-    """The opposite corner."""
-    middles: Tensor
-    """Mean points (B, P, 3)."""
-
-    clouds: Tensor | None
-    """More of the movers' points (B, F, 4, m), homogeneous, where contacts may look at them more closely."""
-
-    @classmethod
-    def of(cls, points: Tensor, movers: Places, clouds: Tensor | None) -> Shapes:
-        """Of canonical points (B, P, n, 3), and larger clouds (B, F, m, 3) of the entities at ``movers``."""
-        rows = _homogeneous(points)
-        low, high = rows[:, :, :3].amin(-1), rows[:, :, :3].amax(-1)
-        middles = rows[:, :, :3].mean(-1)
-        if clouds is None:
-            return cls(rows, low, high, middles, None)
-        more = _homogeneous(clouds)
-        low[:, movers], high[:, movers] = more[:, :, :3].amin(-1), more[:, :, :3].amax(-1)
-        return cls(rows, low, high, middles, more)
-
-
-def _homogeneous(points: Tensor) -> Tensor:
-    """(..., 4, n) of points (..., n, 3)."""
-    return nn.functional.pad(points.transpose(-1, -2), (0, 0, 0, 1), value=1.0)
-
-
-class LinkShapes(nn.Module):
-    """What the links' tokens are told of their shapes, and of how far they would enter the floor.
-
-    Args:
-        width: channels of the per-point network.
-        size: channels of a token.
-    """
-
-    corners: Tensor
-
-    def __init__(self, width: int, size: int) -> None:
-        super().__init__()
-        ends = torch.tensor([False, True])
-        corners = torch.cartesian_prod(ends, ends, ends).t().contiguous()
-        self.register_buffer("corners", corners, persistent=False)  # (3, 8)
-        self.net = _Pooled(7, width, size)
-
-    def forward(self, shapes: Shapes, links: Tensor, links_next: Tensor, seen: Tensor, floor: float) -> Tensor:
-        """(B, L, C).
-
-        Args:
-            shapes: of all entities, the links first.
-            links: poses (B, L, 4, 4).
-            links_next: the same one step later, as foreseen.
-            seen: inverse pose (B, 3, 4) of the frame of reference.
-            floor: its height, metres.
-        """
-        count = links.shape[1]
-        corners = torch.where(self.corners, shapes.high[:, :count, :, None], shapes.low[:, :count, :, None])
-        maps = torch.cat([seen.unsqueeze(1) @ links, links[:, :, 2:3], links_next[:, :, 2:3]], 2)  # (B, L, 5, 4)
-        place, heights = (maps[..., :3] @ corners + maps[..., 3:]).split([3, 2], 2)
-        heights = heights - floor
-        return self.net(
-            [
-                place / _LENGTH,
-                heights[:, :, :1].clamp(-1, 1) / _LENGTH,
-                torch.tanh(heights / _NEAR),
-                torch.tanh(heights[:, :, 1:] / _TOUCH),
-            ]
-        )
-
-
 class MoverContacts(nn.Module):
     """What is told of the entities that can move.
 
@@ -151,7 +59,7 @@ class MoverContacts(nn.Module):
         super().__init__()
         self._links, self._hands, self._fall = links, hands, fall
         own = 3 + 3 + 3 + 1 + 4  # place, step, velocity, height, heights ahead
-        self.net = _Pooled(own + 5 * links + 6, width, size)
+        self.net = Pooled(own + 5 * links + 6, width, size)
 
     def forward(
         self,
@@ -299,12 +207,12 @@ class MoverContacts(nn.Module):
             held = (held + (middles - plan.floor)[:, None, :, None]).amin(2, keepdim=True)
         else:
             held = height
-        parts = torch.cat([height, falling, held, (_NEAR / _TOUCH) * held], 2) / _NEAR
+        parts = torch.cat([height, falling, held, (NEAR / TOUCH) * held], 2) / NEAR
         return [
-            place / _LENGTH,
+            place / LENGTH,
             (ahead - place) / _STEP,
             velocity / _STEP,
-            height.clamp(-1, 1) / _LENGTH,
+            height.clamp(-1, 1) / LENGTH,
             torch.tanh(parts),
         ]
 
@@ -316,7 +224,7 @@ class MoverContacts(nn.Module):
             out: ways out (B, F, P, 3, n) then.
         """
         gaps = gaps.unflatten(2, (2, -1)).transpose(2, 3)  # (B, F, P, 2, n)
-        known = torch.tanh(torch.cat([gaps / _TOUCH, out / _NEAR], 3))
+        known = torch.tanh(torch.cat([gaps / TOUCH, out / NEAR], 3))
         links = known[:, :, : self._links].flatten(2, 3)
         if known.shape[2] == self._links:
             return [links, known.new_zeros(*known.shape[:2], 6, known.shape[-1])]
@@ -372,13 +280,13 @@ class MoverContacts(nn.Module):
         slip = (own[..., :3] - carried).square().sum(-1).clamp_min(1e-12).sqrt()
         speed = own[..., :3].square().sum(-1).clamp_min(1e-12).sqrt().expand_as(gap)
         rows = [
-            gap / _TOUCH,
-            gap_next / _TOUCH,
+            gap / TOUCH,
+            gap_next / TOUCH,
             gap_next.clamp_max(0.0) / _DEPTH,
             slip / _SPEED,
             speed / _SPEED,
             slip / _STEP,
-            offset[..., 2] / _NEAR,
+            offset[..., 2] / NEAR,
         ]
         return torch.tanh(torch.stack(rows, -1))
 

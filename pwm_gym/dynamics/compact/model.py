@@ -21,10 +21,11 @@ import torch
 from torch import Tensor, nn
 
 from pwm_gym.dynamics.compact.attention import Block
-from pwm_gym.dynamics.compact.contact import LinkShapes, MoverContacts, Shapes
+from pwm_gym.dynamics.compact.contact import MoverContacts
 from pwm_gym.dynamics.compact.movers import MoverMotion, Scales
 from pwm_gym.dynamics.compact.plan import Plan
 from pwm_gym.dynamics.compact.robot import RobotForecast, RobotMotion
+from pwm_gym.dynamics.compact.shapes import LinkShapes, Shapes
 from pwm_gym.dynamics.compact.uncertainty import ErrorHead
 from pwm_gym.dynamics.protocols import Transitions
 from pwm_gym.dynamics.response import twists

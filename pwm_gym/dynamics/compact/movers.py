@@ -13,8 +13,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-from pwm_gym.dynamics.compact.contact import PAIR_FEATURES, Contacts, Shapes
+from pwm_gym.dynamics.compact.contact import PAIR_FEATURES, Contacts
 from pwm_gym.dynamics.compact.plan import Plan
+from pwm_gym.dynamics.compact.shapes import Shapes
 from pwm_gym.dynamics.response import twist
 from pwm_gym.scene.joint import JOINT_KINDS
 from pwm_gym.scene.se3 import inverse, make_pose, rotation_from_vector, transform

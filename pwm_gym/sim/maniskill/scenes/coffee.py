@@ -4,16 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
 import sapien
 import torch
-from mani_skill.envs.sapien_env import BaseEnv
-from mani_skill.sensors.camera import CameraConfig
 from mani_skill.utils.registration import register_env
-from mani_skill.utils.scene_builder.table import TableSceneBuilder
 
-from pwm_gym.sim.coffee_machine import HOLDER_FLOOR, OPEN_ANGLE, POD_HEIGHT
-from pwm_gym.sim.maniskill.scenes.common import ROBOT_BASE, nearness, render_camera, sensor_camera
+from pwm_gym.sim.coffee_machine import HOLDER_FLOOR, OPEN_ANGLE, POD_HEIGHT, SEATED, SHUT_ANGLE
+from pwm_gym.sim.maniskill.scenes.common import TableEnv, nearness
 from pwm_gym.sim.maniskill.scenes.parts import build_machine, build_pod, put_articulation, random_places
 
 __all__ = ["CoffeeEnv"]
@@ -21,14 +17,11 @@ __all__ = ["CoffeeEnv"]
 _MACHINE = (-0.03, 0.11)  # its holder, in the plane
 _MACHINE_SPREAD = (0.02, 0.02, 0.10)  # x, y and yaw, to either side
 _POD_FROM, _POD_TO = (-0.13, -0.24), (0.03, -0.09)  # corners of where it stands
-_SEATED = (0.006, 0.008)  # the pod's distance from the holder's axis, and its bottom's from the holder's floor
-_SHUT = np.radians(5.0)
 _STATIC = 0.2  # rad/s
-_WHOLE = 6.0  # the reward at success
 
 
 @register_env("Coffee-v1", max_episode_steps=300)
-class CoffeeEnv(BaseEnv):
+class CoffeeEnv(TableEnv):
     """Put a pod into a coffee machine's holder, whose funnel leaves 3 mm around it, and shut the lid.
 
     **Randomizations**
@@ -39,38 +32,18 @@ class CoffeeEnv(BaseEnv):
     **Success**: the pod is in the holder, not grasped; the lid is shut to 5 degrees; the robot is static.
     """
 
-    SUPPORTED_ROBOTS = ["panda", "panda_wristcam"]  # noqa: RUF012
-
-    def __init__(
-        self, *args: Any, robot_uids: str = "panda", robot_init_qpos_noise: float = 0.02, **kwargs: Any
-    ) -> None:
-        self.robot_init_qpos_noise = robot_init_qpos_noise
-        super().__init__(*args, robot_uids=robot_uids, **kwargs)
-
-    @property
-    def _default_sensor_configs(self) -> list[CameraConfig]:
-        return [sensor_camera()]
-
-    @property
-    def _default_human_render_camera_configs(self) -> CameraConfig:
-        return render_camera()
-
-    def _load_agent(self, options: dict[str, Any]) -> None:
-        super()._load_agent(options, ROBOT_BASE)
+    whole = 6.0
 
     def _load_scene(self, options: dict[str, Any]) -> None:
-        self.table_scene = TableSceneBuilder(self, robot_init_qpos_noise=self.robot_init_qpos_noise)
-        self.table_scene.build()
+        super()._load_scene(options)
         self.machine = build_machine(self.scene, _MACHINE)
         self.body, self.lid = (self.machine.links_map[name] for name in ("machine", "lid"))
         self.pod = build_pod(self.scene, _POD_FROM)
 
-    def _initialize_episode(self, env_idx: torch.Tensor, options: dict[str, Any]) -> None:
-        with torch.device(self.device):
-            count = len(env_idx)
-            self.table_scene.initialize(env_idx)
-            put_articulation(self.machine, (*_MACHINE, 0.0), _MACHINE_SPREAD, OPEN_ANGLE, count)
-            self.pod.set_pose(random_places(_POD_FROM, _POD_TO, torch.full((count,), 0.5 * POD_HEIGHT)))
+    def _place_objects(self, env_idx: torch.Tensor) -> None:
+        count = len(env_idx)
+        put_articulation(self.machine, (*_MACHINE, 0.0), _MACHINE_SPREAD, OPEN_ANGLE, count)
+        self.pod.set_pose(random_places(_POD_FROM, _POD_TO, torch.full((count,), 0.5 * POD_HEIGHT)))
 
     def _place(self) -> torch.Tensor:
         """Where (B, 3) the pod's middle belongs."""
@@ -79,12 +52,12 @@ class CoffeeEnv(BaseEnv):
     def evaluate(self) -> dict[str, torch.Tensor]:
         """Whether the pod is in the holder, the lid's angle, and success."""
         offset = self.pod.pose.p - self._place()
-        seated = (torch.linalg.norm(offset[:, :2], dim=-1) <= _SEATED[0]) & (offset[:, 2] <= _SEATED[1])
+        seated = (torch.linalg.norm(offset[:, :2], dim=-1) <= SEATED[0]) & (offset[:, 2] <= SEATED[1])
         angle = self.machine.qpos[:, 0]
         grasped = self.agent.is_grasping(self.pod)
         static = self.agent.is_static(_STATIC)
         return {
-            "success": seated & (angle <= _SHUT) & ~grasped & static,
+            "success": seated & (angle <= SHUT_ANGLE) & ~grasped & static,
             "is_grasped": grasped,
             "is_pod_seated": seated,
             "is_robot_static": static,
@@ -106,10 +79,4 @@ class CoffeeEnv(BaseEnv):
         reward = reach + held * (1.0 + nearness(self.pod.pose.p, self._place()))
         shut = 1.0 - (info["angle"] / OPEN_ANGLE).clamp(0.0, 1.0)
         reward = torch.where(info["is_pod_seated"], 3.0 + (1.0 - held) * (0.5 + 1.5 * shut), reward)
-        return torch.where(info["success"], _WHOLE, reward)
-
-    def compute_normalized_dense_reward(
-        self, obs: Any, action: torch.Tensor, info: dict[str, torch.Tensor]
-    ) -> torch.Tensor:
-        """The shaped reward (B,) in [0, 1]."""
-        return self.compute_dense_reward(obs=obs, action=action, info=info) / _WHOLE
+        return torch.where(info["success"], self.whole, reward)

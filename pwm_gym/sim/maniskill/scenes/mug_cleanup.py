@@ -7,13 +7,10 @@ from typing import Any
 
 import sapien
 import torch
-from mani_skill.envs.sapien_env import BaseEnv
-from mani_skill.sensors.camera import CameraConfig
 from mani_skill.utils.registration import register_env
-from mani_skill.utils.scene_builder.table import TableSceneBuilder
 
-from pwm_gym.sim.cabinet import CABINET_HALF, HANDLE, PLACE, STROKE, TRAY, TRAY_FLOOR
-from pwm_gym.sim.maniskill.scenes.common import ROBOT_BASE, nearness, render_camera, sensor_camera
+from pwm_gym.sim.cabinet import CABINET_HALF, HANDLE, OPENED, PLACE, STROKE, TRAY, TRAY_FLOOR
+from pwm_gym.sim.maniskill.scenes.common import MugTableEnv, nearness
 from pwm_gym.sim.maniskill.scenes.parts import build_cabinet, build_mugs, put_articulation, random_places
 from pwm_gym.sim.mugs import MUGS, get_mug
 
@@ -22,16 +19,14 @@ __all__ = ["MugChoice", "MugCleanupEnv"]
 _CABINET = (0.21, 0.15)  # middle, in the plane
 _CABINET_SPREAD = (0.015, 0.015, 0.08)  # x, y and yaw, to either side
 _MUG_FROM, _MUG_TO = (-0.13, -0.26), (0.0, -0.15)  # corners of where it stands
-_OPEN = 0.12  # from here on the mug's part of the reward counts
 _SHUT = 0.008
 _IN_TRAY = 0.014  # of the mug's bottom over the tray's floor
 _EDGE = 0.025  # by which the mug's axis is further in than the tray's walls
 _STATIC = 0.2  # rad/s
-_WHOLE = 8.0  # the reward at success
 
 
 @register_env("MugCleanup-v1", max_episode_steps=400)
-class MugCleanupEnv(BaseEnv):
+class MugCleanupEnv(MugTableEnv):
     """Open a cabinet's drawer by its handle, put the mug into it and push it shut.
 
     **Randomizations**
@@ -42,56 +37,18 @@ class MugCleanupEnv(BaseEnv):
     **Success**: the mug lies in the drawer, not grasped; the drawer is shut to 8 mm; the robot is static.
     """
 
-    SUPPORTED_ROBOTS = ["panda", "panda_wristcam"]  # noqa: RUF012
-
-    def __init__(
-        self,
-        *args: Any,
-        robot_uids: str = "panda",
-        num_envs: int = 1,
-        robot_init_qpos_noise: float = 0.02,
-        reconfiguration_freq: int | None = None,
-        **kwargs: Any,
-    ) -> None:
-        self.robot_init_qpos_noise = robot_init_qpos_noise
-        self.mug_choice = tuple(MUGS)  # what the next scene's mugs are drawn from
-        self.mug_names: tuple[str, ...] = ()  # of the present scene, one an environment
-        if reconfiguration_freq is None:
-            reconfiguration_freq = 1 if num_envs == 1 else 0
-        super().__init__(
-            *args,
-            robot_uids=robot_uids,
-            num_envs=num_envs,
-            reconfiguration_freq=reconfiguration_freq,
-            **kwargs,
-        )
-
-    @property
-    def _default_sensor_configs(self) -> list[CameraConfig]:
-        return [sensor_camera()]
-
-    @property
-    def _default_human_render_camera_configs(self) -> CameraConfig:
-        return render_camera()
-
-    def _load_agent(self, options: dict[str, Any]) -> None:
-        super()._load_agent(options, ROBOT_BASE)
+    whole = 8.0
 
     def _load_scene(self, options: dict[str, Any]) -> None:
-        self.table_scene = TableSceneBuilder(self, robot_init_qpos_noise=self.robot_init_qpos_noise)
-        self.table_scene.build()
+        super()._load_scene(options)
         self.cabinet = build_cabinet(self.scene, _CABINET)
         self.drawer = self.cabinet.links_map["drawer"]
-        self.mug_names = tuple(map(str, self._batched_episode_rng.choice(self.mug_choice)))
         self.mug = build_mugs(self, self.mug_names, _MUG_FROM)
-        self.mug_half = torch.tensor([0.5 * MUGS[name].height for name in self.mug_names], device=self.device)
 
-    def _initialize_episode(self, env_idx: torch.Tensor, options: dict[str, Any]) -> None:
-        with torch.device(self.device):
-            count = len(env_idx)
-            self.table_scene.initialize(env_idx)
-            put_articulation(self.cabinet, (*_CABINET, CABINET_HALF[2]), _CABINET_SPREAD, 0.0, count)
-            self.mug.set_pose(random_places(_MUG_FROM, _MUG_TO, self.mug_half[env_idx]))
+    def _place_objects(self, env_idx: torch.Tensor) -> None:
+        place = (*_CABINET, CABINET_HALF[2])
+        put_articulation(self.cabinet, place, _CABINET_SPREAD, 0.0, len(env_idx))
+        self.mug.set_pose(random_places(_MUG_FROM, _MUG_TO, self.mug_half[env_idx]))
 
     def _in_drawer(self, point: tuple[float, float, float]) -> torch.Tensor:
         """Place (B, 3) of a point of the drawer's frame."""
@@ -132,17 +89,11 @@ class MugCleanupEnv(BaseEnv):
         held = info["is_grasped"].float()
         place = self._in_drawer(PLACE) + torch.stack([0 * self.mug_half, 0 * self.mug_half, self.mug_half], -1)
         put_in = 2.0 + nearness(tool, self.mug.pose.p) + held * (1.0 + nearness(self.mug.pose.p, place))
-        reward = torch.where(info["opening"] >= _OPEN, put_in, reward)
+        reward = torch.where(info["opening"] >= OPENED, put_in, reward)
 
         shut = 5.0 + (1.0 - held) * (0.5 + 0.5 * reach_handle + 1.0 - opened)
         reward = torch.where(info["is_mug_inside"], shut, reward)
-        return torch.where(info["success"], _WHOLE, reward)
-
-    def compute_normalized_dense_reward(
-        self, obs: Any, action: torch.Tensor, info: dict[str, torch.Tensor]
-    ) -> torch.Tensor:
-        """The shaped reward (B,) in [0, 1]."""
-        return self.compute_dense_reward(obs=obs, action=action, info=info) / _WHOLE
+        return torch.where(info["success"], self.whole, reward)
 
 
 class MugChoice:
