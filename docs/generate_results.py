@@ -78,12 +78,11 @@ torchrun --nproc-per-node 2 -m pwm_gym train --data data-sets/PickCube data-sets
 
 `kitchen` went on from it with MugCleanup and Coffee, for 32 minutes on the two cores beside other work. It has initial
 scenes of CoffeePreparation and saw no data of it. MugCleanup's training has 110 demonstrations and 80 episodes of
-practice: the first of its two collections was stopped when its demonstrations were done, and the second went on with
-fewer episodes. Coffee's data, too, was collected in two goes, of which the second has the numbers below.
+practice: the first of its two collections was stopped during practice, and the second went on with fewer episodes.
 
 ```
 pwm-gym collect --task Coffee --episodes 240 --held-out 30 --practice 0.5
-pwm-gym collect --task MugCleanup --episodes 220 --held-out 24 --practice 0.5  # stopped after its demonstrations
+pwm-gym collect --task MugCleanup --episodes 220 --held-out 24 --practice 0.5  # stopped during practice
 pwm-gym collect --task MugCleanup --episodes 160 --held-out 20 --practice 0.5
 torchrun --nproc-per-node 2 -m pwm_gym train --data data-sets/MugCleanup data-sets/Coffee --init panda \\
     --out runs/kitchen --threads 1 --learning-rate 0.002 --phases 1 900 256 5 700 128 15 500 64
