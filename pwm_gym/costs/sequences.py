@@ -113,7 +113,7 @@ def insert(name: str, lid: Lid, seated: Term) -> Stage:
     """
     target = lids.holder(lid)
     stage = place(name, lid.machine, target, seated)
-    carry = objects.carry_onto(name, target, clearance=0.035, within=0.0015, slope=0.004)
+    carry = objects.carry_onto(name, target, clearance=0.045, within=0.002, slope=0.008)
     return replace(
         stage, terms={**stage.terms, "carry": (-2.0, carry), "aligned": (-1.5, objects.aligned(name, target))}
     )

@@ -50,7 +50,7 @@ class StagedCost(Cost):
     """
 
     stages: tuple[Stage, ...]
-    price: float = 12.0
+    price: float = 20.0
     """Of a stage that is not over: more than its terms can differ, so that going on to the next one always pays."""
 
     def __post_init__(self) -> None:

@@ -66,6 +66,7 @@ Place = Callable[[Points, Info], Tensor]
 
 _CLEAR = 0.05  # metres over an object's centre at which open fingers clear its top
 _FULL_OPENING = 0.08  # metres between the pads of an open Panda gripper
+_DOWN, _UP = 0.8, 1.5  # of a way from above: a metre too high, and a metre too low, in metres beside
 
 
 # Places, and rules about them -------------------------------------------------------------------------------------
@@ -312,7 +313,7 @@ def carry_onto(name: str, target: Place, clearance: float = 0.02) -> Term:
 
 
 def way_from_above(offset: Tensor, clearance: float, within: float = 0.005, slope: float = 0.04) -> Tensor:
-    """Length (B,) of a way that comes to a place from above, metres.
+    """Length (B,) of a way that comes to a place from above, metres: up, over it, and down, wherever one begins.
 
     Args:
         offset: from the place (B, 3).
@@ -320,10 +321,9 @@ def way_from_above(offset: Tensor, clearance: float, within: float = 0.005, slop
         within: distance beside the place up to which it needs no height.
         slope: further distance over which it then needs more and more of the clearance.
     """
-    beside = offset[..., :2].norm(dim=-1)
-    height = offset[..., 2] - clearance * ((beside - within) / slope).clamp(0, 1)
-    above = min(0.8, 0.5 * slope / clearance)  # so little that a step to the side always pays
-    return beside + torch.where(height < 0, -1.5 * height, above * height)
+    beside, height = offset[..., :2].norm(dim=-1), offset[..., 2]
+    needed = clearance * ((beside - within) / slope).clamp(0, 1)
+    return beside + _DOWN * height.abs() + (_UP + _DOWN) * (needed - height).clamp_min(0)
 
 
 def _set_down(name: str, target: Place) -> Term:
