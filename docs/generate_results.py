@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import Any
 
 from formatting import ROOT, SUCCESS_HEAD, grid, number, paragraph, read, source, success
-from tables import all_tables, completed_rollouts, completion, planning_table, speed, task_tables
+from tables import all_tables, completed_rollouts, completion, planning_table, rates, shared, speed, task_tables
 
 from pwm_gym.assets.liftable import liftable_objects
 from pwm_gym.evaluation.planning import wilson
@@ -47,6 +47,7 @@ _PLANNED = {
     "PickYCB": "plan_pick_ycb",
     "PickYCB, liftable objects": "plan_pick_ycb_liftable",
     "PickYCB, unseen objects": "plan_pick_ycb_unseen",
+    "Coffee": "plan_coffee",
 }
 _MIXED = ("PickYCB", "PickYCB, unseen objects")  # some of whose objects nothing can lift
 _PLAN_MODES = ("closed loop", "open loop", "completed clouds, closed loop")
@@ -134,7 +135,9 @@ def page() -> str:
         completion(),
         completed_rollouts(),
         *all_tables(),
+        shared(),
         speed(),
+        rates(),
         _LIMITS,
     ]
     return "\n".join(part.rstrip() + "\n" for part in parts if part)
@@ -207,8 +210,8 @@ def _planned() -> str:
     if not rows:
         return ""
     about = paragraph(
-        "MPPI with the default settings, executed in the simulator, at most 100 steps. In closed loop the planner",
-        "looks at every step, in open loop at the first scene alone.",
+        "MPPI with the default settings, executed in the simulator, at most as many steps as the task allows. In",
+        "closed loop the planner looks at every step, in open loop at the first scene alone.",
     )
     told = "\n".join(sources)
     return f"## Planning\n\n{told}\n{about}\n{grid(['task', 'mode', *SUCCESS_HEAD[1:]], rows)}"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import wraps
+from math import radians
 from typing import Concatenate, ParamSpec, TypeVar
 
 import torch
@@ -31,6 +32,7 @@ __all__ = [
     "outside_fingers",
     "pad_gaps",
     "pinched",
+    "squared",
     "stopped",
     "tool_centre",
     "tool_distance",
@@ -48,6 +50,7 @@ MOST_SUNK = 0.015
 """Metres by which both pads together may sink into what is between them."""
 
 _TOOL_RATIO = 0.355  # (tool - fingers) / (fingers - hand) along the Panda hand's axis, of its collision meshes
+_MOST_TURN, _TURNS = radians(16.0), 17  # around a direction that is known roughly
 _CLOSE = 0.025  # the paper's grasp distance
 # Metres. ManiSkill's pads sink 0.3 mm (half shut) to 2.8 mm into an object that they hold, and 8 mm into the width of a
 # corner; a model may see it 2 mm nearer to one pad.
@@ -161,6 +164,25 @@ def level(way: Tensor) -> Tensor:
     """Horizontal unit vector (B, 3, 1) along the ways (B, 3)."""
     flat = torch.cat([way[..., :2], torch.zeros_like(way[..., 2:])], -1)
     return (flat / flat.norm(dim=-1, keepdim=True).clamp_min(1e-6)).unsqueeze(-1)
+
+
+def squared(cloud: Tensor, front: Tensor) -> Tensor:
+    """A horizontal unit vector (B, 3, 1), turned so that a box's cloud (B, n, 3) is narrowest across it.
+
+    Means of clouds that lie close to each other tell a direction to some degrees only; a box's sides tell it to tenths
+    of one. Directions within 16 degrees of the given one are tried.
+    """
+    angles = torch.linspace(-_MOST_TURN, _MOST_TURN, _TURNS, dtype=cloud.dtype, device=cloud.device)
+    step = 2 * _MOST_TURN / (_TURNS - 1)
+    side = across(front)
+    ahead, beside = along(cloud, front).unsqueeze(-2), along(cloud, side).unsqueeze(-2)  # (B, 1, n)
+    places = torch.cos(angles).unsqueeze(-1) * beside - torch.sin(angles).unsqueeze(-1) * ahead  # (B, K, n)
+    width = places.amax(-1) - places.amin(-1)
+    best = width.argmin(-1, keepdim=True).clamp(1, _TURNS - 2)
+    before, here, after = (width.gather(-1, best + k) for k in (-1, 0, 1))
+    steepest = torch.maximum(before - here, after - here).clamp_min(1e-6)  # on both sides of a box's angle
+    turn = angles[best] + 0.5 * step * ((before - after) / steepest).clamp(-1.0, 1.0)
+    return torch.cos(turn).unsqueeze(-1) * front + torch.sin(turn).unsqueeze(-1) * side
 
 
 def across(front: Tensor) -> Tensor:

@@ -6,12 +6,13 @@ Cabinet and drawer are each the same to the left and to the right, and stand upr
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import pi
 
 import torch
 from torch import Tensor
 
 from pwm_gym.costs import contacts
-from pwm_gym.costs.contacts import Points, across, along, level, once
+from pwm_gym.costs.contacts import Points, across, along, level, once, squared
 from pwm_gym.costs.terms import Info, Place, Term, centre, nearness, tool
 from pwm_gym.sim.cabinet import DRAWER_FROM, DRAWER_TO, HANDLE, PLACE, STROKE, TRAY, TRAY_FLOOR
 
@@ -67,7 +68,7 @@ CABINET_DRAWER = Drawer(
 def _front(points: Points, drawer: Drawer) -> Tensor:
     """Unit vector (B, 3, 1) in which it opens."""
     way = contacts.centre(points, drawer.name) - contacts.centre(points, drawer.cabinet)
-    return level(way)
+    return squared(points[drawer.cabinet], level(way))
 
 
 @once
@@ -181,11 +182,11 @@ def reach(target: Place) -> Term:
 
 
 def across_handle(drawer: Drawer) -> Term:
-    """How far the fingers are turned from closing on the handle's bar: 0 across it, 1 along it."""
+    """Angle of the fingers from closing on the handle's bar, as a share of a right one: 0 across it, 1 along it."""
 
     def term(points: Points, info: Info) -> Tensor:
-        turn = (contacts.fingers_axis(points) * _front(points, drawer)).sum((-2, -1))
-        return 1.0 - turn.abs()
+        across = (contacts.fingers_axis(points) * _front(points, drawer)).sum((-2, -1)).abs()
+        return torch.acos(across.clamp_max(1.0 - 1e-6)) / (0.5 * pi)
 
     return term
 

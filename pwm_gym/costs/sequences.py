@@ -33,6 +33,7 @@ ALWAYS: Mapping[str, tuple[float, Function]] = {"ground_contact": (1.0, ground_c
 
 _AT_PLACE = 0.02  # metres from a handle within which the fingers may shut
 _BAR_OPENING = 0.032  # metres between the pads over a bar: behind it there is no room for more
+_CLEAR = 0.07  # metres over a bar at which the fingers may be turned in any way
 _MOVED = 8.0  # weight of the whole way of a drawer or a lid
 
 
@@ -42,8 +43,9 @@ def open_drawer(drawer: Drawer, least: float) -> Stage:
     return Stage(
         f"open {drawer.name}",
         {
-            "approach": (1.5, _approach(_over_until_turned(bar, turn), clearance=0.04)),
+            "approach": (1.5, _approach(bar, clearance=0.04)),
             "misalignment": (3.0, turn),
+            "finger_blocking": (3.0, _low_unturned(bar, turn)),
             "opening": (1.0, _opening_off(bar)),
             "premature_close": (4.0, _shut_off(bar)),
             "loose": (0.5, _open_at(bar)),
@@ -156,15 +158,15 @@ def _off(target: Place, points: Points, info: Info) -> Tensor:
     return torch.sigmoid((distance - _AT_PLACE) / 0.003)
 
 
-def _over_until_turned(target: Place, turn: Term) -> Place:
-    """A place, and up to 7 cm over it while the fingers are not turned as they shall be there."""
+def _low_unturned(target: Place, turn: Term) -> Term:
+    """How far the tool is below 7 cm over a place, as a share of them, while the fingers are not turned as there."""
 
-    def place(points: Points, info: Info) -> Tensor:
-        here = target(points, info)
-        raised = 0.07 * (4.0 * turn(points, info)).clamp(0.0, 1.0)
-        return torch.cat([here[..., :2], here[..., 2:] + raised.unsqueeze(-1)], -1)
+    def term(points: Points, info: Info) -> Tensor:
+        height = contacts.tool_centre(points)[..., 2] - target(points, info)[..., 2]
+        low = (1.0 - height / _CLEAR).clamp(0.0, 1.0)
+        return low * (6.0 * turn(points, info)).clamp_max(1.0)
 
-    return place
+    return term
 
 
 def _opening_off(target: Place) -> Term:

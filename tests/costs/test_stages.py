@@ -64,7 +64,7 @@ def test_rules_of_stages_that_nothing_has_come_to_are_not_asked():
     cost = StagedCost("lazy", {}, (GO, Stage("later", {"far": (1.0, never)}, never)))
     points, info = scenes([0.0, 0.5], [0.0, 0.0])
     assert cost.along(cost.begin(2), points, info, 1).tolist() == [[0], [0]]
-    assert cost(points, info).tolist() == [24.0, 25.0]  # no stage told: the first one
+    assert cost(points, info).tolist() == [40.0, 41.0]  # no stage told: the first one
 
 
 def test_it_has_gradients_of_the_present_stage_alone():
