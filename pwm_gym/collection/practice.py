@@ -73,7 +73,7 @@ class Practice:
             self._wander: 0.09,
         }
         if self._task.robot.tool is not None and self._task.robot.action is not None:
-            scripted = {self._waypoint: 0.09, self._pinch: 0.12, self._push: 0.13, self._drop: 0.06, self._drag: 0.03}
+            scripted = {self._waypoint: 0.09, self._pinch: 0.18, self._push: 0.13, self._drop: 0.06, self._drag: 0.03}
             shares |= scripted
             if len(self._task.objects) > 1:
                 shares[self._ram] = 0.06
@@ -121,6 +121,11 @@ class Practice:
 
     def _any_object(self) -> str:
         return str(self._rng.choice(self._task.objects))
+
+    def _any_loose(self) -> str:
+        """Of what could be lifted; any object where there is none."""
+        layout = self._task.layout
+        return str(self._rng.choice([layout.names[k] for k in layout.loose] or self._task.objects))
 
     @property
     def _gripper(self) -> float:
@@ -186,7 +191,7 @@ class Practice:
     def _pinch(self) -> Actions:
         """Down on an object with open fingers, off its centre and misaligned, then shut; half of the time, up again."""
         rng = self._rng
-        yield from self._shut_on(self._any_object())
+        yield from self._shut_on(self._any_loose())
         lift = float(rng.choice([0.0, 0.03]))
         yield from (self._move(np.array([0.0, 0.0, lift]), 1.0, _SHUT) for _ in range(10))
 
@@ -206,7 +211,7 @@ class Practice:
     def _drag(self) -> Actions:
         """Shut on an object and pull it sideways where it is: away from under what stands on it, too."""
         rng = self._rng
-        yield from self._shut_on(self._any_object())
+        yield from self._shut_on(self._any_loose())
         way = rng.uniform(0.05, 0.2) * self._direction(rng.uniform(-np.pi, np.pi))
         yield from self._go(self._tool() + way, rng.uniform(0.01, 0.1), _SHUT, steps=20)
 

@@ -31,8 +31,9 @@ class Plan:
     """First seed of the range."""
     max_steps: int | None = None
     """Actions of an episode at most; None takes the task's limit."""
-    planner: str = "mppi"
-    """mppi, mppi-paper (the paper's settings), cem, icem or gradient."""
+    planner: str | None = None
+    """mppi, mppi-fine (finer samples), mppi-paper (the paper's settings), cem, icem or gradient; None takes the
+    task's."""
     samples: int | None = None
     """Action sequences an iteration; the elites change in proportion. None leaves the planner's own."""
     horizon: int | None = None
@@ -85,9 +86,10 @@ class Plan:
             check_least(self, max_steps=1)
         if self.seeds not in RANGES:
             raise unknown_name("range of seeds", self.seeds, RANGES)
-        config = self._config()
-        prepare_process(self.threads)
         task = get_task(self.task)
+        planner = task.planner if self.planner is None else self.planner
+        config = self._config(planner)
+        prepare_process(self.threads)
         checkpoint = load_checkpoint(resolve(self.checkpoint, self.task))
         checkpoint.check_joints(task.layout)
         seeds = seed_range(self.seeds, self.episodes, self.offset)
@@ -105,15 +107,15 @@ class Plan:
         if self.save is not None:
             save_runs(runs, self.save)
         if self.json is not None:
-            names = ("planner", "chunk", "seeds", "objects", "observation", "completer", "sensor", "cost")
-            facts = {"settings": asdict(config), **{name: getattr(self, name) for name in names}}
+            names = ("chunk", "seeds", "objects", "observation", "completer", "sensor", "cost")
+            facts = {"planner": planner, "settings": asdict(config), **{name: getattr(self, name) for name in names}}
             write_results(self.json, {**facts, **table})
 
-    def _config(self) -> SamplingConfig:
+    def _config(self, planner: str) -> SamplingConfig:
         """The planner's settings with what the options change."""
         from pwm_gym.planning import get_planner_config
 
-        config = get_planner_config(self.planner)
+        config = get_planner_config(planner)
         if self.samples is not None:
             config = config.resize(self.samples)
         changes = {k: v for k in ("horizon", "iterations") if (v := getattr(self, k)) is not None}

@@ -19,8 +19,9 @@ from pwm_gym.sim.cabinet import DRAWER_FROM, DRAWER_TO, HANDLE, PLACE, STROKE, T
 __all__ = [
     "CABINET_DRAWER",
     "Drawer",
-    "across_handle",
+    "along_handle",
     "before_handle",
+    "behind_handle",
     "handle",
     "inside",
     "open_to",
@@ -121,6 +122,11 @@ def before_handle(drawer: Drawer, gap: float = 0.022) -> Place:
     return place
 
 
+def behind_handle(drawer: Drawer, gap: float = 0.024) -> Place:
+    """Place at the handle's height, ``gap`` metres behind its bar: from where fingers pull it."""
+    return before_handle(drawer, -gap)
+
+
 def spot(drawer: Drawer, name: str) -> Place:
     """Where an object's centre is when it stands in its place in the drawer."""
 
@@ -181,12 +187,12 @@ def reach(target: Place) -> Term:
     return nearness(tool, target)
 
 
-def across_handle(drawer: Drawer) -> Term:
-    """Angle of the fingers from closing on the handle's bar, as a share of a right one: 0 across it, 1 along it."""
+def along_handle(drawer: Drawer) -> Term:
+    """Angle of the line through both fingers from the handle's bar, as a share of a right one: 0 along it, 1 across."""
 
     def term(points: Points, info: Info) -> Tensor:
-        across = (contacts.fingers_axis(points) * _front(points, drawer)).sum((-2, -1)).abs()
-        return torch.acos(across.clamp_max(1.0 - 1e-6)) / (0.5 * pi)
+        along_bar = (contacts.fingers_axis(points) * _side(points, drawer)).sum((-2, -1)).abs()
+        return torch.acos(along_bar.clamp_max(1.0 - 1e-6)) / (0.5 * pi)
 
     return term
 

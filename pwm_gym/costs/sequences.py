@@ -31,24 +31,25 @@ __all__ = ["ALWAYS", "close_drawer", "close_lid", "insert", "open_drawer", "plac
 ALWAYS: Mapping[str, tuple[float, Function]] = {"ground_contact": (1.0, ground_contact), "effort": (1.0, effort)}
 """Terms that count in every stage."""
 
-_AT_PLACE = 0.02  # metres from a handle within which the fingers may shut
-_BAR_OPENING = 0.032  # metres between the pads over a bar: behind it there is no room for more
-_CLEAR = 0.07  # metres over a bar at which the fingers may be turned in any way
+_CLEAR = 0.07  # metres over a handle above which the fingers may be open, and turned in any way
+_NARROW = 0.04  # metres between the fingers that are all too many there
+_TURNED, _ILL_TURNED = 0.06, 0.17  # shares of a right angle that the fingers may be off, and that are all wrong
 _MOVED = 8.0  # weight of the whole way of a drawer or a lid
 
 
 def open_drawer(drawer: Drawer, least: float) -> Stage:
-    """Close the fingers on the handle's bar from above, and pull until the drawer is open by ``least``."""
-    bar, turn = drawers.handle(drawer), drawers.across_handle(drawer)
+    """Hook shut fingers behind the handle's bar from above, and pull until the drawer is open by ``least``.
+
+    Hooked, the hand needs no turn and no width of its fingers to a millimetre, as it would to grasp the bar.
+    """
+    behind, turn = drawers.behind_handle(drawer), drawers.along_handle(drawer)
     return Stage(
         f"open {drawer.name}",
         {
-            "approach": (1.5, _approach(bar, clearance=0.04)),
+            "approach": (1.5, _approach(behind, clearance=0.05)),
             "misalignment": (3.0, turn),
-            "finger_blocking": (3.0, _low_unturned(bar, turn)),
-            "opening": (1.0, _opening_off(bar)),
-            "premature_close": (4.0, _shut_off(bar)),
-            "loose": (0.5, _open_at(bar)),
+            "loose": (1.0, _open),
+            "finger_blocking": (3.0, _low_unready(behind, turn)),
             "opened": (-_MOVED, drawers.opened(drawer)),
         },
         drawers.open_to(drawer, least),
@@ -152,41 +153,21 @@ def _approach(target: Place, clearance: float) -> Term:
     return term
 
 
-def _off(target: Place, points: Points, info: Info) -> Tensor:
-    """Soft bool (B,): the tool is not at a place."""
-    distance = (contacts.tool_centre(points) - target(points, info)).norm(dim=-1)
-    return torch.sigmoid((distance - _AT_PLACE) / 0.003)
+def _open(points: Points, info: Info) -> Tensor:
+    """How far the fingers are open: 1 where they could not hook a handle."""
+    return (contacts.opening(points) / _NARROW).clamp(0.0, 1.0)
 
 
-def _low_unturned(target: Place, turn: Term) -> Term:
-    """How far the tool is below 7 cm over a place, as a share of them, while the fingers are not turned as there."""
+def _low_unready(target: Place, turn: Term) -> Term:
+    """How far the tool is below 7 cm over a place, as a share of them, while the fingers are open or ill turned."""
 
     def term(points: Points, info: Info) -> Tensor:
         height = contacts.tool_centre(points)[..., 2] - target(points, info)[..., 2]
         low = (1.0 - height / _CLEAR).clamp(0.0, 1.0)
-        return low * (6.0 * turn(points, info)).clamp_max(1.0)
+        ill_turned = ((turn(points, info) - _TURNED) / (_ILL_TURNED - _TURNED)).clamp(0.0, 1.0)
+        return low * torch.maximum(_open(points, info), ill_turned)
 
     return term
-
-
-def _opening_off(target: Place) -> Term:
-    """How far the fingers are from being as wide apart as a bar has room for, away from it: 1 at 2 cm more or less."""
-
-    def term(points: Points, info: Info) -> Tensor:
-        off = (contacts.opening(points) - _BAR_OPENING).abs() / 0.02
-        return off.clamp_max(2.0) * _off(target, points, info)
-
-    return term
-
-
-def _shut_off(target: Place) -> Term:
-    """1 where the gripper is told to shut away from a place."""
-    return lambda points, info: (info["action"][..., -1] < 0) * _off(target, points, info)
-
-
-def _open_at(target: Place) -> Term:
-    """1 where the gripper is told to open at a place."""
-    return lambda points, info: (info["action"][..., -1] >= 0) * (1.0 - _off(target, points, info))
 
 
 def _both(first: Term, second: Term) -> Term:

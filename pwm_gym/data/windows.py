@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -12,10 +13,12 @@ from pwm_gym.data.batch import Batch, Batches
 from pwm_gym.data.dataset import Dataset
 from pwm_gym.errors import DatasetError
 from pwm_gym.scene import Layout
+from pwm_gym.scene.cloud import reordered
 from pwm_gym.scene.se3 import matrix_from_pose7
 
 __all__ = ["Windows", "mixed"]
 
+_LEADING = 256  # points of an entity that an order begins with: all that a model reads of a rigid body
 _STILL = 1e-3  # metres a step; an object that moves more, and not with the hand, is an event
 
 
@@ -27,14 +30,17 @@ class Windows:
         boost: how much likelier a window is drawn in which an object moves, but not with the end effector
             (pushes, drops and releases: rare, and most of an object's error); where several objects do so in one step
             (one pushes another: rarer still), as much again.
+        orders: of each cloud's points, among which :meth:`sample` draws. Models read an entity's first points; with a
+            single order they would learn the motion of those few, and not know the same shape sampled anew.
     """
 
-    def __init__(self, dataset: Dataset, boost: float = 1.0) -> None:
+    def __init__(self, dataset: Dataset, boost: float = 1.0, orders: int = 1) -> None:
         poses = [torch.as_tensor(e.poses, dtype=torch.float64) for e in dataset.episodes]
         self._poses = matrix_from_pose7(torch.cat(poses)).float()  # (F, E, 4, 4)
         self._joints = torch.cat([torch.as_tensor(e.joints) for e in dataset.episodes])
         self._actions = torch.cat([torch.as_tensor(np.r_[e.actions, e.actions[-1:]]) for e in dataset.episodes])
-        self._clouds = torch.as_tensor(dataset.clouds)  # (K, N, 3)
+        self._clouds = torch.as_tensor(_ordered(dataset, orders))  # (O K, N, 3), the first K as they are stored
+        self._orders, self._combinations = orders, len(dataset.clouds)
         self.layout = dataset.layout
         lengths = np.array([len(e) for e in dataset.episodes])
         starts = np.concatenate([[0], np.cumsum(lengths + 1)[:-1]])
@@ -83,7 +89,11 @@ class Windows:
         frames, cumulative = self._table(horizon)
         draw = torch.rand(batch, generator=generator, dtype=torch.float64) * cumulative[-1]
         chosen = frames[torch.searchsorted(cumulative, draw).clamp_max(len(frames) - 1)]
-        return self.at(chosen, horizon, generator)
+        found = self.at(chosen, horizon, generator)
+        if self._orders == 1:
+            return found
+        order = torch.randint(self._orders, (batch,), generator=generator)
+        return replace(found, clouds=self._clouds[order * self._combinations + self._combination[chosen]])
 
     def transitions(self) -> Batch:
         """Every single step of the data set, as windows of one."""
@@ -107,6 +117,17 @@ class Windows:
             joints=self._joints[frames],
             following_joints=self._joints[ahead[:, 1:]],
         )
+
+
+def _ordered(dataset: Dataset, orders: int) -> np.ndarray:
+    """Canonical points (O K, N, 3) of the K combinations of assets in the data set's order, then in others."""
+    rng, clouds = np.random.default_rng(0), dataset.clouds
+    anew = [
+        np.concatenate([reordered(points[e.slice], int(rng.integers(e.points)), _LEADING) for e in dataset.layout])
+        for _ in range(orders - 1)
+        for points in clouds
+    ]
+    return np.stack([*clouds, *anew]).astype(np.float32)
 
 
 class _Mixed:

@@ -35,7 +35,7 @@ CHUNKS = {"closed loop": 1, "chunks of 20": 20, "chunks of 50": 50, "open loop":
 """Name -> actions between two looks; 0 looks once."""
 
 _EPISODES, _SLOW_EPISODES, _FULL_EPISODES = 20, 5, 100
-_MAX_STEPS, _SLOW_MAX_STEPS = 100, 50
+_SLOW_SHARE = 0.5  # of the actions that an episode of the task may have
 
 
 @dataclass(frozen=True)
@@ -53,8 +53,8 @@ class Member:
     """Action sequences of a plan; None takes as many as the planner's settings say."""
     partial: bool = False
     """Whether it sees what one camera sees."""
-    planner: str = "mppi"
-    """Registered planner."""
+    planner: str | None = None
+    """Registered planner; None takes the task's."""
     observation: str = "complete"
     """What the environment shows: "complete" clouds, or ones "completed" from a camera's depth."""
     sensor: str = "ideal"
@@ -62,16 +62,14 @@ class Member:
     episodes: int | None = None
     """Episodes that it plans; None takes the table's."""
 
-    @property
-    def config(self) -> SamplingConfig:
+    def config(self, task: Task) -> SamplingConfig:
         """Settings of its planner."""
-        config = get_planner_config(self.planner)
+        config = get_planner_config(self.planner or task.planner)
         return config if self.samples is None else config.resize(self.samples)
 
-    @property
-    def max_steps(self) -> int:
+    def max_steps(self, task: Task) -> int:
         """Actions of an episode at most."""
-        return _SLOW_MAX_STEPS if self.slow else _MAX_STEPS
+        return max(1, round(task.max_episode_steps * (_SLOW_SHARE if self.slow else 1.0)))
 
     def count(self, full: bool) -> int:
         """Episodes that it plans; ``full`` takes more of them where it is fast."""
@@ -186,19 +184,19 @@ def run_planning_table(
         if draw is not None and result["failed_seeds"]:
             failed = load_runs(result["failed_seeds"], pieces[name, mode].folder)
             result["picture"] = draw(name, mode, failed)
-    rows = [_row(member, {mode: results[member.name, mode] for mode in asked}) for member in chosen]
+    rows = [_row(member, get_task(task), {mode: results[member.name, mode] for mode in asked}) for member in chosen]
     return {"caption": table.caption, "rows": rows}
 
 
-def _row(member: Member, modes: dict[str, Any]) -> dict[str, Any]:
-    config = member.config
+def _row(member: Member, task: Task, modes: dict[str, Any]) -> dict[str, Any]:
+    config = member.config(task)
     return {
         "row": member.name,
         "partial": member.partial,
-        "planner": member.planner,
+        "planner": member.planner or task.planner,
         "samples": config.samples,
         "iterations": config.iterations,
-        "max_steps": member.max_steps,
+        "max_steps": member.max_steps(task),
         "horizon": config.horizon,
         "modes": modes,
     }
@@ -208,7 +206,8 @@ def _piece(
     member: Member, mode: str, data: Path, out: Path, task: str, full: bool, objects: str = "", scale: float = 1.0
 ) -> Piece:
     """One member in one mode, named after all that decides its result, so that tables share equal ones."""
-    chunk = CHUNKS[mode] if CHUNKS[mode] < member.max_steps else 0  # never looks again
+    config, most = member.config(get_task(task)), member.max_steps(get_task(task))
+    chunk = CHUNKS[mode] if CHUNKS[mode] < most else 0  # never looks again
     episodes = member.count(full)
     source = str(data)
     if member.kind == "checkpoint":
@@ -218,7 +217,7 @@ def _piece(
     if member.observation == "completed":
         source += digest(SHIPPED)
     asked = [objects] if objects else []
-    recipe = (task, replace(member, name=""), source, chunk, episodes, member.config, member.max_steps, *asked)
+    recipe = (task, replace(member, name=""), source, chunk, episodes, config, most, *asked)
     make = partial(_planned, member, data, out, task, chunk, episodes, objects, scale)
     return Piece(f"{member.name}, {mode}", "planning", repr(recipe), out, make)
 
@@ -267,12 +266,13 @@ def _plan(
     """Test seeds of planning in the simulator; failed runs are saved in ``folder``."""
     from pwm_gym.envs import CameraConfig  # trainings import this module, and need no environments
 
-    agent, seeds = Agent(model, task.name, member.config), seed_range("plan_test", episodes)
+    agent, seeds = Agent(model, task.name, member.config(task)), seed_range("plan_test", episodes)
+    most = member.max_steps(task)
     shown: dict[str, Any] = {"observation": member.observation, "camera": CameraConfig(sensor=member.sensor)}
     twin = f"pwm/{task.name}Sim-v0"
-    with gym.make(twin, max_episode_steps=member.max_steps, objects=objects or None, **shown) as env:
+    with gym.make(twin, max_episode_steps=most, objects=objects or None, **shown) as env:
         observe = _partial_views(env, task) if member.partial else None
-        runs = run_episodes(env, agent, seeds, member.max_steps, chunk, observe)
+        runs = run_episodes(env, agent, seeds, most, chunk, observe)
     save_runs([run for run in runs if not run.success], folder)
     return planning_table(runs)
 

@@ -14,9 +14,8 @@ from pwm_gym.costs.registry import Function
 from pwm_gym.dynamics.model import WorldModel
 from pwm_gym.dynamics.protocols import MeetsScenes
 from pwm_gym.errors import PwmGymError, SceneError
-from pwm_gym.planning.mppi import MPPIConfig
 from pwm_gym.planning.objective import RolloutObjective
-from pwm_gym.planning.registry import build_planner
+from pwm_gym.planning.registry import build_planner, get_planner_config
 from pwm_gym.planning.sampling import Planner, SamplingConfig
 from pwm_gym.scene import Scene, State, batch_state
 from pwm_gym.tasks import get_task
@@ -30,7 +29,7 @@ class Agent:
     Args:
         model: world model to plan in.
         task: registered task.
-        config: settings of the planner; None takes MPPI's.
+        config: settings of the planner; None takes those of the task's.
         cost: a registered cost or a callable; None takes the task's planning cost.
         seed: of the planner's noise.
         device: of the model.
@@ -50,7 +49,9 @@ class Agent:
         caution: float = 0.0,
     ) -> None:
         self.task, self.device, self.model = get_task(task), device, model
-        self.planner: Planner = build_planner(config or MPPIConfig(), self.task.control, device)
+        self.planner: Planner = build_planner(
+            config or get_planner_config(self.task.planner), self.task.control, device
+        )
         self.cost = get_cost(self.task.plan_cost if cost is None else cost).plus(penalties or {})
         self.objective = RolloutObjective(model, self.cost, get_grasp(self.task.grasp), caution=caution)
         self._generator = torch.Generator(device).manual_seed(seed)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -32,6 +32,14 @@ class MPPIConfig(SamplingConfig):
         super().check()
         if not self.temperature > 0.0:
             raise PwmGymError(f"temperature={self.temperature}; expected more than 0")
+
+    @classmethod
+    def fine(cls) -> MPPIConfig:
+        """Samples that refine twice as finely as the default's, and one channel at a time: for tasks of millimetres."""
+        arm = replace(ActionNoise().translation, min_noise_scale=0.1)
+        turn = replace(ActionNoise().rotation, min_noise_scale=0.1)
+        noise = replace(ActionNoise(), translation=arm, rotation=turn)
+        return cls(noise=noise, single_channel_share=0.45)
 
     @classmethod
     def paper(cls, horizon: int = 10) -> MPPIConfig:

@@ -112,14 +112,35 @@ def arm_mask(control: Control, samples: int, single_arm_share: float) -> Tensor 
         single_arm_share: share of the samples in which one arm moves and the others follow the last plan.
     """
     names = control.arm_names
-    if len(names) < 2:
-        return None
     owner = [names.index(c.arm) if c.arm else -1 for c in control.channels for _ in range(c.start, c.stop)]
-    place = torch.arange(samples, dtype=torch.float64) * _GOLDEN % 1.0  # wide and fine samples have their share each
-    single = place < single_arm_share
-    arm = (place / max(single_arm_share, 1e-9) * len(names)).long().clamp(max=len(names) - 1)  # (S,)
+    return _single_mask(owner, len(names), samples, single_arm_share, step=1)
+
+
+def channel_mask(control: Control, samples: int, single_channel_share: float) -> Tensor | None:
+    """Which components (S, A) each sample perturbs: those of one channel, in turn, or all; None with a single channel.
+
+    Args:
+        control: of the channels.
+        samples: S.
+        single_channel_share: share of the samples in which one channel is perturbed and the others follow the last
+            plan.
+    """
+    owner = [k for k, c in enumerate(control.channels) for _ in range(c.start, c.stop)]
+    return _single_mask(owner, len(control.channels), samples, single_channel_share, step=2)
+
+
+def _single_mask(owner: list[int], count: int, samples: int, share: float, step: int) -> Tensor | None:
+    """Components (S, A) that samples perturb, a ``share`` of which those of one owner alone; -1 belongs to all.
+
+    ``step`` chooses which samples those are: wide and fine ones have their share each.
+    """
+    if count < 2:
+        return None
+    place = torch.arange(samples, dtype=torch.float64) * _GOLDEN * step % 1.0
+    single = place < share
+    chosen = (place / max(share, 1e-9) * count).long().clamp(max=count - 1)  # (S,)
     owners = torch.tensor(owner)
-    return ~single[:, None] | (owners == arm[:, None]) | (owners < 0)
+    return ~single[:, None] | (owners == chosen[:, None]) | (owners < 0)
 
 
 def power_law_noise(shape: tuple[int, ...], beta: float, generator: torch.Generator) -> Tensor:

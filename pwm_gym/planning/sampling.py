@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from pwm_gym.errors import PwmGymError
-from pwm_gym.planning.noise import ActionNoise, arm_mask
+from pwm_gym.planning.noise import ActionNoise, arm_mask, channel_mask
 from pwm_gym.robots import Control
 
 __all__ = ["Objective", "Planner", "SamplingConfig", "SamplingPlanner"]
@@ -58,6 +58,9 @@ class SamplingConfig:
     samples."""
     single_arm_share: float = 0.5
     """Share of the samples that perturb one arm alone, each arm in turn, where a robot has several."""
+    single_channel_share: float = 0.0
+    """Share of the samples that perturb one channel alone, each in turn: where a task asks for exact places, none that
+    moves as well would turn, open or shut."""
     iterations: int = 1
     """Rounds of sampling around the improved mean."""
 
@@ -80,8 +83,9 @@ class SamplingConfig:
                 raise PwmGymError(f"{name}={getattr(self, name)}; expected at least 1")
         if self.stop_samples < 0:
             raise PwmGymError(f"stop_samples={self.stop_samples}; expected 0 or more")
-        if not 0.0 <= self.single_arm_share <= 1.0:
-            raise PwmGymError(f"single_arm_share={self.single_arm_share}; expected 0 to 1")
+        for name in ("single_arm_share", "single_channel_share"):
+            if not 0.0 <= getattr(self, name) <= 1.0:
+                raise PwmGymError(f"{name}={getattr(self, name)}; expected 0 to 1")
         if not 1 <= self.elites <= self.samples:
             raise PwmGymError(f"elites={self.elites}; expected 1 to samples={self.samples}")
 
@@ -127,9 +131,12 @@ class SamplingPlanner(ABC, Generic[Config]):
         samples = self.config.samples
         place = torch.linspace(0.0, 1.0, samples, device=least.device).unsqueeze(-1)
         scale = 1.0 - place * (1.0 - least)
-        moves = arm_mask(control, samples, self.config.single_arm_share)
-        if moves is not None:
-            scale = scale * moves.to(scale)
+        for mask in (
+            arm_mask(control, samples, self.config.single_arm_share),
+            channel_mask(control, samples, self.config.single_channel_share),
+        ):
+            if mask is not None:
+                scale = scale * mask.to(scale)
         return scale.unsqueeze(1)
 
     def reset(self) -> None:

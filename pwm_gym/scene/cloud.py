@@ -14,7 +14,7 @@ from pwm_gym.scene.layout import Layout
 if TYPE_CHECKING:
     import trimesh
 
-__all__ = ["resample_clouds", "sample_clouds", "sample_surface", "spacing", "spread"]
+__all__ = ["reordered", "resample_clouds", "sample_clouds", "sample_surface", "spacing", "spread"]
 
 _HEIGHT = 5  # of the tree that saves most distances of a few thousand points
 _CANDIDATES = 8  # surface samples per kept point, from which farthest-point sampling chooses
@@ -46,6 +46,14 @@ def sample_clouds(meshes: Mapping[str, trimesh.Trimesh], layout: Layout, seed: i
 def resample_clouds(clouds: np.ndarray, full: Layout, layout: Layout) -> np.ndarray:
     """Coarser canonical points of ``layout`` from those of ``full``: each entity's first points."""
     return np.concatenate([clouds[f.start : f.start + e.points] for f, e in zip(full, layout, strict=True)])
+
+
+def reordered(points: np.ndarray, start: int, leading: int) -> np.ndarray:
+    """The points of a cloud (m, 3) in another order: ``leading`` well-spread ones from ``start`` on, then the others."""
+    import fpsample
+
+    first = fpsample.fps_sampling(np.ascontiguousarray(points, np.float32), min(leading, len(points)), start_idx=start)
+    return np.concatenate([points[first], np.delete(points, first, axis=0)])
 
 
 def spacing(points: np.ndarray, neighbours: int) -> np.ndarray:

@@ -100,6 +100,7 @@ COFFEE = register_task(
         expert_steps=140,
         cost="coffee",
         plan_cost="coffee_plan",
+        planner="mppi-fine",
         success="coffee",
         grasp="coffee",
         max_episode_steps=210,

@@ -133,6 +133,7 @@ COFFEE_PREPARATION = register_task(
         expert_steps=330,
         cost="coffee_preparation",
         plan_cost="coffee_preparation_plan",
+        planner="mppi-fine",
         success="coffee_preparation",
         grasp="coffee_preparation",
         max_episode_steps=500,

@@ -116,6 +116,7 @@ MUG_CLEANUP = register_task(
         expert_steps=280,
         cost="mug_cleanup",
         plan_cost="mug_cleanup_plan",
+        planner="mppi-fine",
         success="mug_cleanup",
         grasp="mug_cleanup",
         max_episode_steps=420,

@@ -49,6 +49,8 @@ class Task:
     """Registered success rule."""
     grasp: str
     """Registered grasp rule."""
+    planner: str = "mppi"
+    """Registered planner that plans it by default."""
     goal_size: int = 0
     """G; 0 where the task has no goal beside its objects."""
     expert_steps: int = 66

@@ -33,6 +33,7 @@ __all__ = ["BANK", "FitConfig", "fit", "fit_baseline", "fit_error", "fit_respons
 BANK = 256
 """Initial scenes that a checkpoint carries."""
 _BOOST = 3.0  # windows with pushes, drops and releases are drawn this many times as often
+_ORDERS = 16  # of each cloud's points
 
 Validate = Callable[[Any, Dataset, Any], dict[str, float]]
 _ERROR_CHUNK, _ERROR_POINTS = 2048, 32
@@ -171,7 +172,7 @@ def _windows(config: FitConfig, sources: list[Dataset], held_out: list[Dataset])
     if config.view not in _VIEWS:
         raise unknown_name("view", config.view, _VIEWS)
     if config.view == "complete":
-        return mixed([Windows(dataset, config.boost) for dataset in sources]), None
+        return mixed([Windows(dataset, config.boost, _ORDERS) for dataset in sources]), None
     if config.episodes or config.kinds or len(config.folders) > 1:
         raise DatasetError("view='partial' trains on all episodes of one data set; expected no choice of them")
     folder, task = config.folders[0], get_task(sources[0].task)

@@ -70,6 +70,20 @@ def test_windows_draw_the_clouds_of_their_episode(several):
     assert sum(len(c.actions) for c in chunks) == sum(lengths)
 
 
+def test_training_draws_orders_of_a_clouds_points(several):
+    once, anew = Windows(several), Windows(several, orders=4)
+    stored = once.sample(torch.Generator().manual_seed(0), 64, 2)
+    drawn = anew.sample(torch.Generator().manual_seed(0), 64, 2)
+    assert torch.equal(stored.frames, drawn.frames) and torch.equal(stored.actions, drawn.actions)
+    same = (drawn.clouds == stored.clouds).flatten(1).all(1)
+    assert 0.05 < same.float().mean() < 0.6  # the stored order is one of them
+    for entity in several.layout:  # the same points, whatever their order
+        told, found = stored.clouds[:, entity.slice], drawn.clouds[:, entity.slice]
+        gaps = torch.cdist(told, found, compute_mode="donot_use_mm_for_euclid_dist")
+        assert gaps.amin(1).max() == 0.0 and gaps.amin(2).max() == 0.0
+    assert torch.equal(anew.transitions().clouds, once.transitions().clouds)
+
+
 @pytest.mark.parametrize(
     ("change", "error", "message"),
     [

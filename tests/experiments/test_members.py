@@ -30,7 +30,7 @@ TABLE = PlanningTable("one baseline", (BASELINE,), modes=("closed loop", "open l
 def quick(monkeypatch):
     """One episode of two steps, few samples."""
     monkeypatch.setattr(table, "_SLOW_EPISODES", 1)
-    monkeypatch.setattr(table, "_SLOW_MAX_STEPS", 2)
+    monkeypatch.setattr(table, "_SLOW_SHARE", 0.02)
     monkeypatch.setattr(table, "get_planner_config", lambda name: MPPIConfig(samples=8, elites=4, horizon=2))
 
 
@@ -64,7 +64,7 @@ def test_a_table_tells_every_mode_and_keeps_what_is_there(quick, data_folder, tm
 
 def test_other_settings_are_another_piece(quick, data_folder, tmp_path, monkeypatch):
     run_planning_table(TABLE, data_folder, tmp_path)
-    monkeypatch.setattr(table, "_SLOW_MAX_STEPS", 1)
+    monkeypatch.setattr(table, "_SLOW_SHARE", 0.01)
     (row,) = run_planning_table(TABLE, data_folder, tmp_path)["rows"]
     assert row["modes"]["open loop"]["runs"][0]["steps"] == 1
 
@@ -79,8 +79,8 @@ def test_members_are_chosen_by_name():
 
 def test_the_papers_protocol_is_its_own():
     members = PLANNING_TABLES["planning-paper"].members
-    assert {m.config for m in members} == {MPPIConfig.paper()} and {m.count(full=True) for m in members} == {20}
-    config = members[0].config
+    assert {m.config(TASK) for m in members} == {MPPIConfig.paper()} and {m.count(full=True) for m in members} == {20}
+    config = members[0].config(TASK)
     assert (config.samples, config.horizon, config.elites) == (200, 10, 64)
     assert set(config.noise.resolve(TASK.control).sigma) == {5.0}
 
@@ -88,8 +88,8 @@ def test_the_papers_protocol_is_its_own():
 def test_planners_are_compared_in_one_model():
     members = PLANNING_TABLES["planners"].members
     assert {(m.kind, m.source, m.slow) for m in members} == {("checkpoint", "default", False)}
-    assert [type(m.config) for m in members[:2]] == [MPPIConfig, CEMConfig]
-    assert replace(members[0], samples=20).config == members[0].config.resize(20)
+    assert [type(m.config(TASK)) for m in members[:2]] == [MPPIConfig, CEMConfig]
+    assert replace(members[0], samples=20).config(TASK) == members[0].config(TASK).resize(20)
 
 
 def test_what_the_environment_shows_is_what_is_planned_from(data_folder, tmp_path, quick, monkeypatch):

@@ -3,11 +3,11 @@ import pytest
 import torch
 
 from pwm_gym.costs import cost_info, get_cost, get_grasp
-from pwm_gym.dynamics import build_model
+from pwm_gym.dynamics import build_model, load_checkpoint, resolve
 from pwm_gym.errors import PwmGymError
-from pwm_gym.planning import Agent, MPPIConfig
+from pwm_gym.planning import PLANNERS, Agent, MPPIConfig
 from pwm_gym.scene import batch_state
-from pwm_gym.tasks import get_task
+from pwm_gym.tasks import TASKS, get_task
 
 TASK = get_task("PickCube")
 QUICK = MPPIConfig(samples=16, elites=4, horizon=4)
@@ -18,6 +18,13 @@ def agent(env):
     agent = Agent(env.unwrapped.model, "PickCube", QUICK)
     agent.reset(0)
     return agent
+
+
+def test_a_tasks_own_planner_is_the_default(env):
+    assert Agent(env.unwrapped.model, "PickCube").planner.config == PLANNERS["mppi"]
+    kitchen = load_checkpoint(resolve("kitchen", "Coffee")).model
+    assert Agent(kitchen, "Coffee").planner.config == PLANNERS["mppi-fine"] != PLANNERS["mppi"]
+    assert {task.planner for task in TASKS.values()} <= {*PLANNERS}
 
 
 def test_it_goes_on_in_the_model_from_where_it_looked(agent, env, scene):

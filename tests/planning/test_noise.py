@@ -131,6 +131,22 @@ def test_one_arm_the_other_or_both_are_perturbed(share):
         assert (left & right)[:60].float().mean() == pytest.approx(1.0 - share, abs=0.06)
 
 
+@pytest.mark.parametrize("share", [0.0, 0.45, 1.0])
+def test_one_channel_alone_or_all_are_perturbed(share):
+    control = get_task("PickCube").control
+    noise = ActionNoise.uniform(NoiseConfig(sigma=(0.5,), correlation=0.0))
+    config = MPPIConfig(samples=300, stop_samples=0, single_channel_share=share, noise=noise)
+    *samples, mean = seen_by(config, control, last_action=torch.zeros(1, control.size))
+    perturbed = torch.stack(samples) - mean
+    moves = torch.stack([perturbed[..., c.slice].abs().amax((-1, -2)) > 0 for c in control.channels], -1)  # (S, 3)
+    alone = moves.sum(-1) == 1
+    assert (alone | moves.all(-1)).all() and alone.float().mean() == pytest.approx(share, abs=0.02)
+    for k in range(3):
+        assert (alone & moves[:, k]).float().mean() == pytest.approx(share / 3, abs=0.02)
+    if 0.0 < share < 1.0:  # wide samples and fine ones
+        assert alone[:75].float().mean() == pytest.approx(share, abs=0.06)
+
+
 def test_settings_that_do_not_fit_the_control_are_named():
     wide = replace(ActionNoise(), translation=NoiseConfig((0.1, 0.2)))
     with pytest.raises(PwmGymError, match="translation sigma has 2 values; expected 1 or 3"):

@@ -5,6 +5,7 @@ from scipy.spatial import cKDTree
 
 from pwm_gym.errors import SceneError
 from pwm_gym.scene import Layout, resample_clouds, sample_clouds, sample_surface, spread
+from pwm_gym.scene.cloud import reordered
 
 HALF = np.array([0.1, 0.05, 0.02])
 
@@ -70,3 +71,14 @@ def test_fewer_points_than_asked_for_are_repeated():
     assert more.shape == (100, 3) and len(np.unique(more[:40], axis=0)) == 40
     np.testing.assert_array_equal(more[40:80], more[:40])
     assert spread(points[:1], 3).shape == (3, 3)
+
+
+def test_another_order_has_the_same_points_and_is_well_spread_from_where_it_starts(box):
+    cloud = sample_surface(box, 300, seed=0)
+    other = reordered(cloud, start=17, leading=64)
+    np.testing.assert_array_equal(other[0], cloud[17])
+    np.testing.assert_array_equal(np.sort(other.view("f4,f4,f4").ravel()), np.sort(cloud.view("f4,f4,f4").ravel()))
+    assert len({*map(tuple, other[:32])} & {*map(tuple, cloud[:32])}) < 24
+    for count in (32, 64):
+        assert covering_radius(other[:count], cloud) < 1.2 * covering_radius(cloud[:count], cloud)
+    assert reordered(cloud, start=0, leading=999).shape == cloud.shape
