@@ -63,7 +63,7 @@ def _facts(task: Task) -> list[str]:
         f"- `pwm/{task.name}-v0`, `pwm/{task.name}Sim-v0`: {task.layout.points} points, {task.action_size} actions, "
         f"robot `{task.robot.name}`, control period {task.control.period} s",
         f"- goal: {goal}; at most {task.max_episode_steps} steps; the expert takes about {task.expert_steps}",
-        f"- success `{task.success}`, grasp rule `{task.grasp}`",
+        f"- success `{task.success}`, grasp rule `{task.grasp}`, planner `{task.planner}`",
     ]
     folder = default_checkpoints().get(task.name)
     if folder is not None:

@@ -22,7 +22,8 @@ _FINGER_LENGTH = 0.03  # below an object's top where the tool can hold it with t
 _OPEN, _OUTER = 0.038, 0.067  # from the tool to an open finger's inner and outer side
 _MARGIN = 0.003  # within which a point begins to be in a finger's way
 _NOTHING = 0.5  # cost of a place with nothing between the fingers; 1 is a finger that is in the way
-_OFF_CENTRE, _FAR = 0.15, 0.25  # from the object's centre, and from the tool, that cost as much as a finger in the way
+_SLIPS = (0.3, 0.9)  # slopes of the held sides along the pads from which they begin to slip, and surely do
+_OFF_CENTRE, _FAR = 0.12, 0.25  # from the object's centre, and from the tool, that cost as much as a finger in the way
 
 
 @dataclass(frozen=True)
@@ -34,8 +35,8 @@ class Grip:
     width: Tensor
     """Width (B,) of what would be between the fingers."""
     misfit: Tensor
-    """How ill (B,) open fingers fit there: 1 where one is in the way, 0.5 where nothing would be held, and 1 for each
-    15 cm off the object's centre."""
+    """How ill (B,) open fingers fit there: 1 where one is in the way, 0.5 where nothing would be held, 1 where the pads
+    would slip off slanting sides, and 1 for each 12 cm off the object's centre."""
 
 
 @once
@@ -46,13 +47,14 @@ def grip(points: Points, name: str) -> Grip:
     height = _height(points, name)
     axis, sideways = _directions(points)
     across = along(tried, axis).unsqueeze(-1) - along(cloud, axis).unsqueeze(-2)  # (B, K, n)
-    beside = (along(tried, sideways).unsqueeze(-1) - along(cloud, sideways).unsqueeze(-2)).abs()
-    reached = (beside <= contacts.PAD_HALF_WIDTH) & counts.unsqueeze(-2)
+    beside = along(tried, sideways).unsqueeze(-1) - along(cloud, sideways).unsqueeze(-2)
+    reached = (beside.abs() <= contacts.PAD_HALF_WIDTH) & counts.unsqueeze(-2)
     distance = across.abs()
     in_way = ((distance - _OPEN) / _MARGIN).clamp(0.0, 1.0) * ((_OUTER - distance) / _MARGIN).clamp(0.0, 1.0)
     between = reached & (distance <= _OPEN)
     off_centre = (tried - centre.unsqueeze(-2))[..., :2].norm(dim=-1)
     misfit = (in_way * reached).amax(-1) + _NOTHING * ~between.any(-1) + off_centre / _OFF_CENTRE  # (B, K)
+    misfit = misfit + _slipping(across, beside, between)
     way = (tried - contacts.tool_centre(points).unsqueeze(-2))[..., :2].norm(dim=-1)
     best = (misfit + way / _FAR).argmin(-1, keepdim=True)  # (B, 1)
     found = tried.gather(-2, best.unsqueeze(-1).expand(-1, -1, 3)).squeeze(-2)
@@ -63,6 +65,26 @@ def grip(points: Points, name: str) -> Grip:
     place = found - middle * axis.squeeze(-1)  # amid what is between the fingers
     place = torch.cat([place[..., :2], height.unsqueeze(-1)], -1)
     return Grip(place, (high - low).clamp_min(0.0), misfit.gather(-1, best).squeeze(-1))
+
+
+def _slipping(across: Tensor, beside: Tensor, between: Tensor) -> Tensor:
+    """How surely (B, K) pads would slip off what is between them, as off a cup that is pinched beside its middle.
+
+    Told by how much farther out one side of it is under one half of a pad than under the other; surely where one half
+    has nothing to hold.
+
+    Args:
+        across: places (B, K, n) of points along the fingers' axis.
+        beside: the same across that axis, from the pads' middle.
+        between: bool (B, K, n), which of them are between the pads.
+    """
+    low, high = [], []
+    for half in (between & (beside < 0.0), between & (beside >= 0.0)):
+        low.append(across.where(half, 1e3).amin(-1))
+        high.append(across.where(half, -1e3).amax(-1))
+    rise = torch.maximum((low[0] - low[1]).abs(), (high[0] - high[1]).abs()) / contacts.PAD_HALF_WIDTH
+    begins, surely = _SLIPS
+    return ((rise - begins) / (surely - begins)).clamp(0.0, 1.0)
 
 
 def finger_overlap(points: Points, name: str) -> Tensor:

@@ -37,8 +37,9 @@ __all__ = [
 
 _TOUCHING, _STOPPED = 0.006, 0.0016  # metres, and metres a step: of fingers that an object has stopped
 _AJAR, _SHUT = -0.3, 0.5  # the gripper's command from which it may hold something, and how far below it surely does
+_EMPTY = 0.001  # metres between pads that hold nothing
 _OFF_PLACE = 0.02  # metres between tool and grip place within which the fingers may shut
-_NARROW, _WIDE = 0.05, 0.08  # metres: a width that fits well, and the open Panda gripper's
+_NARROW, _WIDE = 0.06, 0.08  # metres: a width that fits well, and the open Panda gripper's
 
 
 # A simulator's shaped rewards -------------------------------------------------------------------------------------
@@ -112,7 +113,8 @@ def _touching(points: Points, name: str) -> Tensor:
     """Soft bool (B,): both pads touch what is between them, and are not shut beside it."""
     gaps = contacts.pad_gaps(points, name)
     touching = torch.sigmoid((_TOUCHING - gaps.amax(-1)) / 0.001)
-    return touching * torch.sigmoid((gaps.sum(-1) + contacts.MOST_SUNK) / 0.001)
+    apart = torch.sigmoid((contacts.opening(points) - _EMPTY) / 0.0003)
+    return touching * apart * torch.sigmoid((gaps.sum(-1) + contacts.MOST_SUNK) / 0.001)
 
 
 def _firmness(points: Points, info: Info, name: str) -> Tensor:
@@ -155,7 +157,7 @@ def finger_blocking(name: str) -> Term:
 
 
 def misalignment(name: str) -> Term:
-    """How ill the open fingers fit at the best place: its misfit, and its width from 5 cm up to the open gripper's."""
+    """How ill the open fingers fit at the best place: its misfit, and its width from 6 cm up to the open gripper's."""
 
     def term(points: Points, info: Info) -> Tensor:
         best = grip(points, name)

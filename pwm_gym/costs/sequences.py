@@ -35,10 +35,11 @@ _CLEAR = 0.07  # metres over a handle above which the fingers may be open, and t
 _NARROW = 0.04  # metres between the fingers that are all too many there
 _TURNED, _ILL_TURNED = 0.06, 0.17  # shares of a right angle that the fingers may be off, and that are all wrong
 _MOVED = 8.0  # weight of the whole way of a drawer or a lid
+_SPARE = 0.02  # metres by which a drawer is opened farther: it is pushed back a little where the hand leaves it
 
 
 def open_drawer(drawer: Drawer, least: float) -> Stage:
-    """Hook shut fingers behind the handle's bar from above, and pull until the drawer is open by ``least``.
+    """Hook shut fingers behind the handle's bar from above, and pull until the drawer is open by ``least`` and a bit.
 
     Hooked, the hand needs no turn and no width of its fingers to a millimetre, as it would to grasp the bar.
     """
@@ -52,7 +53,7 @@ def open_drawer(drawer: Drawer, least: float) -> Stage:
             "finger_blocking": (3.0, _low_unready(behind, turn)),
             "opened": (-_MOVED, drawers.opened(drawer)),
         },
-        drawers.open_to(drawer, least),
+        drawers.open_to(drawer, least + _SPARE),
     )
 
 
@@ -92,7 +93,7 @@ def place(name: str, onto: str, target: Place, arrived: Term, clearance: float =
         name: the object.
         onto: what the place belongs to, for the stage's name.
         target: where the mean of its points shall be.
-        arrived: rule that it is there; the stage ends when it is not held any more, either.
+        arrived: rule that it is there, from then on; the stage ends when it is not held any more, either.
         clearance: height over the place at which it is carried.
     """
     held = objects.held(name)
@@ -101,7 +102,7 @@ def place(name: str, onto: str, target: Place, arrived: Term, clearance: float =
         return arrived(points, info) & ~held(points, info)
 
     terms = {**_grasp(name), "carry": (-2.0, objects.carry_onto(name, target, clearance))}
-    return Stage(f"place {name} at {onto}", {**terms, "hold_on": (2.0, _both(arrived, held))}, done)
+    return Stage(f"place {name} at {onto}", {**terms, "hold_on": (2.0, _both(arrived, held))}, done, lasting=arrived)
 
 
 def put_in(name: str, drawer: Drawer, inside: Term) -> Stage:

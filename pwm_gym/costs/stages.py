@@ -15,12 +15,14 @@ from torch import Tensor
 from pwm_gym.costs.registry import COSTS, Cost, Function, Info, Points
 from pwm_gym.errors import PwmGymError
 
-__all__ = ["FINISHED", "STAGES_LEFT", "Stage", "StagedCost", "register_stages"]
+__all__ = ["FINISHED", "STAGES_LEFT", "UNDONE", "Stage", "StagedCost", "register_stages"]
 
 FINISHED = "finished"
 """What the stage is called when all are over."""
 STAGES_LEFT = "stages_left"
 """Term that counts the stages which are not over."""
+UNDONE = "undone"
+"""Term that counts the stages which are over and whose lasting rule is broken."""
 
 
 @dataclass(frozen=True)
@@ -32,6 +34,9 @@ class Stage:
     """Term -> weight and function ``(points, info) -> (B,)``: what planners descend in this stage."""
     done: Function
     """Rule ``(points, info) -> bool (B,)``: the stage is over."""
+    lasting: Function | None = None
+    """Rule ``(points, info) -> bool (B,)`` that has to hold from then on, such as that what was brought stays where it
+    is; where a scene breaks it, the stage begins anew."""
 
     def renamed(self, name: str) -> Stage:
         """The same stage under another name, where a sequence has it twice."""
@@ -77,11 +82,17 @@ class StagedCost(Cost):
         return torch.zeros(count, dtype=torch.long, device=device)
 
     def advance(self, stage: Tensor, points: Points, info: Info) -> Tensor:
-        """Stage (B,) after scenes (B,) that were reached in ``stage`` (B,); several may end in one scene."""
-        return self.along(stage, points, info, 1).squeeze(1)
+        """Stage (B,) after scenes (B,) that were reached in ``stage`` (B,); several may end in one scene.
+
+        A stage whose lasting rule is broken begins anew.
+        """
+        found = self.along(stage, points, info, 1).squeeze(1)
+        for k, broken in reversed(self._broken(found, points, info).items()):
+            found = torch.where(broken, k, found)
+        return found
 
     def along(self, stage: Tensor, points: Points, info: Info, steps: int) -> Tensor:
-        """Stages (B, T) along sequences of T scenes.
+        """Stages (B, T) along sequences of T scenes, none of which begins anew.
 
         Args:
             stage: before the first scene (B,).
@@ -117,16 +128,30 @@ class StagedCost(Cost):
         values = super().evaluate(points, info)
         values[STAGES_LEFT] = self.price * (len(self.stages) - stage).to(torch.float32)
         nothing = values[STAGES_LEFT].new_zeros(batch)
+        if any(part.lasting for part in self.stages):
+            values[UNDONE] = self.price * sum(self._broken(stage, points, info).values(), nothing)
         for k, part in enumerate(self.stages):
             here = stage == k
             told = self._weighted(part.terms, points, info) if here.any() else dict.fromkeys(part.terms, nothing)
             values |= {f"{part.name}: {name}": torch.where(here, value, nothing) for name, value in told.items()}
         return values
 
+    def _broken(self, stage: Tensor, points: Points, info: Info) -> dict[int, Tensor]:
+        """Of stages with a lasting rule: whether (B,) scenes that are past them break it."""
+        return {
+            k: (stage > k) & ~self._told(k, part.lasting, points, info)
+            for k, part in enumerate(self.stages)
+            if part.lasting is not None and bool((stage > k).any())
+        }
+
     def _over(self, k: int, points: Points, info: Info) -> Tensor:
         """Whether (B T,) the stage ``k`` is over in each scene."""
+        return self._told(k, self.stages[k].done, points, info)
+
+    def _told(self, k: int, rule: Function, points: Points, info: Info) -> Tensor:
+        """What (B,) a rule of stage ``k`` says."""
         try:
-            return self.stages[k].done(points, info)
+            return rule(points, info)
         except KeyError as error:
             raise PwmGymError(f"cost {self.name!r}, stage {self.stages[k].name!r}: {error.args[0]}") from error
 

@@ -49,7 +49,7 @@ def resample_clouds(clouds: np.ndarray, full: Layout, layout: Layout) -> np.ndar
 
 
 def reordered(points: np.ndarray, start: int, leading: int) -> np.ndarray:
-    """The points of a cloud (m, 3) in another order: ``leading`` well-spread ones from ``start`` on, then the others."""
+    """The points of a cloud (m, 3) in another order: ``leading`` well-spread ones from ``start`` on, then the rest."""
     import fpsample
 
     first = fpsample.fps_sampling(np.ascontiguousarray(points, np.float32), min(leading, len(points)), start_idx=start)

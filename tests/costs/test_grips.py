@@ -53,7 +53,7 @@ def test_a_ring_is_held_by_its_rim_and_a_wide_can_is_not_held():
     rim, can = (grip(scene(mesh, tool=(0.05, 0.0, 0.2)), "object") for mesh in (RING, CAN))
     assert rim.width < 0.03 and float(rim.place[0, :2].norm()) == pytest.approx(0.057, abs=0.012)
     assert can.misfit > 0.25
-    assert rim.misfit < 0.45  # what it costs to be off the centre
+    assert rim.misfit < 0.55  # what it costs to be off the centre
 
 
 def test_fingers_over_what_they_would_hit_are_told():

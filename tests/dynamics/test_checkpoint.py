@@ -292,5 +292,5 @@ def test_coffee_preparation_has_a_model_that_never_saw_it():
     assert checkpoint.folder.name == "kitchen" and len(checkpoint.bank("CoffeePreparation")) == 64
     assert checkpoint.tasks == ("MugCleanup", "Coffee")
     assert checkpoint.seen_tasks == ("PickCube", "StackCube", "PickYCB", "MugCleanup", "Coffee")
-    assert set(checkpoint.description["training"]["data"]["tasks"]) == {"MugCleanup", "Coffee"}
+    assert set(checkpoint.description["training"]["data"]["tasks"]) == {"MugCleanup", "Coffee", "PickYCB"}
     assert checkpoint.seen_joints == ("fixed", "free", "prismatic", "revolute")

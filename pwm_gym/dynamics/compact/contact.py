@@ -130,7 +130,7 @@ class MoverContacts(nn.Module):
         count, near = plan.partners, points.shape[-1] // 2
         with torch.no_grad():
             boxed = local @ clouds.unsqueeze(2)  # (B, F, P, 3, m)
-            gaps = (boxed.abs() - half[:, None, :count, :, None]).amax(-2) + plan.apart[:, -count:]
+            gaps = (boxed.abs() - half[:, None, :count, :, None]).amax(-2) + plan.joined
             nearest = gaps.amin(2).topk(near, -1, largest=False).indices  # (B, F, n / 2)
         points = points.clone()
         points[:, plan.movers, :, -near:] = clouds.gather(-1, nearest.unsqueeze(2).expand(-1, -1, 4, -1))

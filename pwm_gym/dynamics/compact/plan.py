@@ -71,6 +71,9 @@ class Plan:
     """Rows (3 S + 1, 4) that take points of the world to the walls' axes, and to their heights."""
     apart: Tensor
     """Metres (F, 2 P' + partners, 1) by which movers are parted from :attr:`itself`; P' counts partners and walls."""
+    joined: Tensor
+    """Metres (F, partners, 1) by which movers are parted from themselves, and from what they hang on along a joint: a
+    drawer is always inside its cabinet's box, which tells nothing."""
     sorted: bool
     """Whether the layout has the model's order already."""
 
@@ -98,6 +101,8 @@ class Plan:
         poses = matrix_from_pose7(torch.tensor([s.origin for s in walls], dtype=torch.float32).reshape(-1, 7))
         kinds = [JOINT_KINDS.index(e.joint.kind) for e in sorted_layout.entities[len(links) :]]
         itself = torch.tensor([[bodies[p] == bodies[m] for p in range(partners)] for m in movers], device=device)
+        parents = [sorted_layout.entities[m].joint.parent for m in movers]
+        hung = torch.tensor([[n == p for n in sorted_layout.names[:partners]] for p in parents], device=device)
         carriers = [k for k in (*range(len(links)), *articulated, *attached) if k < partners]
         inverses = inverse(poses).to(device)
         from_boxes = nn.functional.pad(_APART * itself, (0, len(walls)))  # no mover is a wall
@@ -125,6 +130,7 @@ class Plan:
             carried=bool(carriers),
             fixed_rows=torch.cat([inverses[:, :3].flatten(0, 1), torch.tensor(_UP, device=device)]),
             apart=torch.cat([from_boxes, from_boxes, _APART * itself], 1).unsqueeze(-1) if movers else torch.empty(0),
+            joined=_APART * (itself | hung).unsqueeze(-1) if movers else torch.empty(0),
             sorted=order == sorted(order),
         )
 
