@@ -13,9 +13,9 @@ from pwm_gym.sim.cabinet import PLACE, TRAY, TRAY_FLOOR
 from pwm_gym.sim.mugs import Mug
 from pwm_gym.skills.carry import Carry
 from pwm_gym.skills.motion import servo
+from pwm_gym.skills.mug_grips import MugGrip, body_grip, fits_body, rim_grip
 from pwm_gym.skills.open_drawer import OpenDrawer
 from pwm_gym.skills.push import Push
-from pwm_gym.skills.rim import RIM_RELEASED, RIM_WIDE, rim_pinch, rim_place
 
 __all__ = ["CleanUp"]
 
@@ -35,16 +35,18 @@ class CleanUp:
     mug: Mug
     speed: float
     """Longest translation asked for in a step, metres."""
+    by_body: bool = False
+    """Whether the mug is held about its body, where the gripper is wide enough, instead of by its rim."""
 
     def act(self) -> np.ndarray:
         """Action (7,)."""
         if self._inside:
             return self._shut()
-        rim = rim_pinch(self.speed)
-        if rim.holds(self.poses, self._rim):
+        grip = self._grip
+        if grip.pinch.holds(self.poses, grip.place):
             return self._carry()
         opening = self._drawer.act()
-        return rim.act(self.poses, self._rim, self._side) if opening is None else opening
+        return grip.pinch.act(self.poses, grip.place, grip.closing) if opening is None else opening
 
     # Phases -------------------------------------------------------------------------------------------------------
 
@@ -57,11 +59,12 @@ class CleanUp:
         """Let the mug go, and push the drawer."""
         if self._drawer.opening < _SHUT:
             return self._stay(gripper=-1.0)
-        if panda.opening(self.poses) < RIM_RELEASED and np.linalg.norm(self._rim - self._tool[:3]) < _NEAR:
+        grip, wide = self._grip, self._grip.pinch.opening
+        if panda.opening(self.poses) < grip.released and np.linalg.norm(grip.place - self._tool[:3]) < _NEAR:
             if self._height > _ON_FLOOR:
                 return self._carry()
-            return self._stay(panda.gripper_command(RIM_WIDE))
-        return Push(0.12, RIM_WIDE, self.speed).act(self.poses, self._drawer.bar, self._drawer.front)
+            return self._stay(panda.gripper_command(wide))
+        return Push(0.12, wide, self.speed).act(self.poses, self._drawer.bar, self._drawer.front)
 
     def _stay(self, gripper: float) -> np.ndarray:
         return servo(panda.PANDA, self._tool, self._tool[:3], self._side, self.speed, gripper)
@@ -86,9 +89,12 @@ class CleanUp:
         return self._turn.apply([0.0, 1.0, 0.0])
 
     @cached_property
-    def _rim(self) -> np.ndarray:
-        """Place (3,) on the mug's wall that the fingers close on."""
-        return rim_place(self.mug, self.poses[5], self._side, self._tool)
+    def _grip(self) -> MugGrip:
+        """How the mug is held."""
+        mug, pose = self.mug, self.poses[5]
+        if self.by_body and fits_body(mug):
+            return body_grip(mug, pose, self.speed)
+        return rim_grip(mug, pose, self._side, self._tool, self.speed)
 
     @cached_property
     def _height(self) -> float:

@@ -14,8 +14,8 @@ from pwm_gym.sim.mugs import Mug
 from pwm_gym.skills.brew import Brew
 from pwm_gym.skills.carry import Carry
 from pwm_gym.skills.motion import servo
+from pwm_gym.skills.mug_grips import MugGrip, rim_grip
 from pwm_gym.skills.open_drawer import OpenDrawer
-from pwm_gym.skills.rim import RIM_RELEASED, RIM_WIDE, rim_pinch, rim_place
 
 __all__ = ["Prepare"]
 
@@ -42,18 +42,18 @@ class Prepare:
             return self._brew()
         if not self._mug_there:
             return self._bring_mug()
-        if panda.opening(self.poses) < RIM_RELEASED and np.linalg.norm(self._rim - self._tool[:3]) < _NEAR:
-            return servo(
-                panda.PANDA, self._tool, self._tool[:3], self._side, self.speed, panda.gripper_command(RIM_WIDE)
-            )
+        grip = self._grip
+        if panda.opening(self.poses) < grip.released and np.linalg.norm(grip.place - self._tool[:3]) < _NEAR:
+            wide = panda.gripper_command(grip.pinch.opening)
+            return servo(panda.PANDA, self._tool, self._tool[:3], self._side, self.speed, wide)
         opening = OpenDrawer(self.poses, self.poses[_CABINET], self.poses[_DRAWER], self.speed).act()
         return self._brew() if opening is None else opening
 
     def _bring_mug(self) -> np.ndarray:
-        rim = rim_pinch(self.speed)
-        if rim.holds(self.poses, self._rim):
+        grip = self._grip
+        if grip.pinch.holds(self.poses, grip.place):
             return Carry(0.03, self.speed).act(self.poses, self.poses[_MUG, :3], self._stand, self._side)
-        return rim.act(self.poses, self._rim, self._side)
+        return grip.pinch.act(self.poses, grip.place, grip.closing)
 
     def _brew(self) -> np.ndarray:
         return Brew(self.poses[[*_LINKS, _MACHINE, _LID, _POD]], self.speed).act()
@@ -79,8 +79,8 @@ class Prepare:
         return foot + 0.5 * self.mug.height * _UP
 
     @cached_property
-    def _rim(self) -> np.ndarray:
-        return rim_place(self.mug, self.poses[_MUG], self._side, self._tool)
+    def _grip(self) -> MugGrip:
+        return rim_grip(self.mug, self.poses[_MUG], self._side, self._tool, self.speed)
 
     @cached_property
     def _mug_there(self) -> bool:

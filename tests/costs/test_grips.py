@@ -56,6 +56,14 @@ def test_a_ring_is_held_by_its_rim_and_a_wide_can_is_not_held():
     assert rim.misfit < 0.55  # what it costs to be off the centre
 
 
+def test_a_cup_is_held_about_its_middle_not_by_a_side_that_the_pads_would_slip_off():
+    cup = trimesh.creation.cylinder(0.032, 0.06, transform=trimesh.transformations.translation_matrix((0, 0, 0.03)))
+    for beside in (0.0, 0.024, -0.028):  # along the fingers' pads, where the cup is narrower
+        held = grip(scene(cup, tool=(0.0, beside, 0.2)), "object")
+        np.testing.assert_allclose(held.place[0, :2], [0, 0], atol=0.008)
+        assert held.misfit < 0.1 and held.width == pytest.approx(0.064, abs=0.004)
+
+
 def test_fingers_over_what_they_would_hit_are_told():
     assert finger_overlap(scene(RING, tool=(0.0575, 0.0, 0.08)), "object") == 0.0  # one inside, one outside
     assert finger_overlap(scene(RING, tool=(0.0, 0.0, 0.08)), "object") == 1.0  # both over the rim

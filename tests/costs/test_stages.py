@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import pytest
 import torch
 
@@ -55,6 +57,17 @@ def test_every_element_moves_on_by_itself_and_never_goes_back():
 def test_a_stage_that_is_over_later_does_not_count_before_the_one_before_it():
     points, info = scenes([0, 0, 1, 0], [1, 0, 0, 0])
     assert COST.along(COST.begin(1), points, info, 4).tolist() == [[0, 0, 1, 1]]
+
+
+def test_a_stage_whose_lasting_rule_is_broken_begins_anew_and_costs_its_price():
+    cost = StagedCost("kept", {}, (replace(GO, lasting=at("a", 0.5)), COME, GO.renamed("again")), price=10.0)
+    points, info = scenes([0.2, 0.6, 0.2, 0.2], [0.0, 0.0, 2.0, 0.0])
+    stage = torch.tensor([1, 1, 1, 0])
+    told = cost.evaluate(points, {**info, "stage": stage})
+    assert told["undone"].tolist() == [10.0, 0.0, 10.0, 0.0]
+    assert cost.advance(stage, points, info).tolist() == [0, 1, 0, 0]
+    assert cost.along(stage, points, info, 1).flatten().tolist() == [1, 1, 2, 0]  # not inside a rollout
+    assert "undone" not in COST.evaluate(points, {**info, "stage": stage})
 
 
 def test_rules_of_stages_that_nothing_has_come_to_are_not_asked():

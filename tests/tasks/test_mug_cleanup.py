@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ from pwm_gym.seeds import seed_range
 from pwm_gym.sim.cabinet import STROKE
 from pwm_gym.sim.mugs import MUGS, get_mug
 from pwm_gym.tasks import get_task
+from pwm_gym.tasks.mug_cleanup import MugCleanupExpert
 
 TASK = get_task("MugCleanup")
 LIMIT = TASK.max_episode_steps
@@ -36,8 +39,10 @@ def test_the_experts_episode_opens_the_drawer_and_shuts_it(episode):
     assert way.max() > 0.14 and way[-1] < 0.008 and way.min() > -1e-3 and way.max() < STROKE + 1e-3
 
 
-def test_the_expert_succeeds_with_another_mug(mug_simulator):
-    assert 180 < steps_to_success(TASK, mug_simulator, seed_range("validation", 1)[0]) <= LIMIT
+@pytest.mark.parametrize("by_body", [False, True])
+def test_the_expert_succeeds_with_either_grip(mug_simulator, by_body):
+    task = replace(TASK, expert=lambda rng: MugCleanupExpert(0.03, by_body))
+    assert 180 < steps_to_success(task, mug_simulator, seed_range("plan_validation", 5)[4]) <= LIMIT
 
 
 @pytest.mark.slow
