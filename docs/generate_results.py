@@ -47,7 +47,9 @@ _PLANNED = {
     "PickYCB": "plan_pick_ycb",
     "PickYCB, liftable objects": "plan_pick_ycb_liftable",
     "PickYCB, unseen objects": "plan_pick_ycb_unseen",
+    "MugCleanup": "plan_mug_cleanup",
     "Coffee": "plan_coffee",
+    "CoffeePreparation, never trained on": "plan_coffee_preparation",
 }
 _MIXED = ("PickYCB", "PickYCB, unseen objects")  # some of whose objects nothing can lift
 _PLAN_MODES = ("closed loop", "open loop", "completed clouds, closed loop")
@@ -77,18 +79,34 @@ torchrun --nproc-per-node 2 -m pwm_gym train --data data-sets/PickCube data-sets
     --phases 1 1500 384 5 600 192 15 600 128
 ```
 
-`kitchen` went on from it with MugCleanup and Coffee, for 32 minutes on the two cores beside other work. It has initial
-scenes of CoffeePreparation and saw no data of it. MugCleanup's training has 110 demonstrations and 80 episodes of
-practice: the first of its two collections was stopped during practice, and the second went on with fewer episodes.
+`kitchen` went on from it with MugCleanup and Coffee, in four trainings of 32, 27, 14 and MINUTES4 minutes on the two cores
+beside other work. It has initial scenes of CoffeePreparation and saw no data of it. The second training is the first that
+draws the order of a cloud's points; the third and fourth add practice, demonstrations that hold the mug about its body
+(the expert's grips were by the rim alone before), and PickYCB's data. Of MugCleanup the first data set has 110
+demonstrations and 80 episodes of practice: one collection was stopped during practice, and the next went on with fewer
+episodes.
 
 ```
 pwm-gym collect --task Coffee --episodes 240 --held-out 30 --practice 0.5
 pwm-gym collect --task MugCleanup --episodes 220 --held-out 24 --practice 0.5  # stopped during practice
 pwm-gym collect --task MugCleanup --episodes 160 --held-out 20 --practice 0.5
+pwm-gym collect --task MugCleanup --episodes 220 --held-out 1 --practice 1.0 --offset 1000 \\
+    --out data-sets/MugCleanup-practice
+pwm-gym collect --task MugCleanup --episodes 100 --held-out 1 --practice 0.2 --offset 2000 --shard 10 \\
+    --out data-sets/MugCleanup-body
 torchrun --nproc-per-node 2 -m pwm_gym train --data data-sets/MugCleanup data-sets/Coffee --init panda \\
     --out runs/kitchen --threads 1 --learning-rate 0.002 --phases 1 900 256 5 700 128 15 500 64
-pwm-gym scenes runs/kitchen/checkpoint --task MugCleanup  # and Coffee: demonstrations' first scenes alone
-pwm-gym scenes runs/kitchen/checkpoint --task CoffeePreparation
+torchrun --nproc-per-node 2 -m pwm_gym train --data data-sets/MugCleanup data-sets/Coffee \\
+    --init runs/kitchen/checkpoint --out runs/kitchen2 --threads 1 --learning-rate 0.0015 \\
+    --phases 1 500 256 5 500 128 15 400 64
+torchrun --nproc-per-node 2 -m pwm_gym train --data data-sets/MugCleanup data-sets/MugCleanup-practice \\
+    data-sets/Coffee data-sets/PickYCB --init runs/kitchen2/checkpoint --out runs/kitchen3 --threads 1 \\
+    --learning-rate 0.0015 --phases 1 400 256 5 450 128 15 350 64
+torchrun --nproc-per-node 2 -m pwm_gym train --data data-sets/MugCleanup data-sets/MugCleanup-practice \\
+    data-sets/MugCleanup-body data-sets/Coffee data-sets/PickYCB --init runs/kitchen3/checkpoint --out runs/kitchen4 \\
+    --threads 1 --learning-rate 0.0015 --phases 1 300 256 5 450 128 15 300 64
+pwm-gym scenes runs/kitchen4/checkpoint --task MugCleanup  # and Coffee: demonstrations' first scenes alone
+pwm-gym scenes runs/kitchen4/checkpoint --task CoffeePreparation
 ```
 """
 _EARLIER = """# Figures of version 0.1

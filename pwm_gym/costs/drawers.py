@@ -22,6 +22,7 @@ __all__ = [
     "along_handle",
     "before_handle",
     "behind_handle",
+    "hand_blocking",
     "handle",
     "inside",
     "open_to",
@@ -32,6 +33,8 @@ __all__ = [
     "shut_to",
     "spot",
 ]
+
+_HAND_DEEP = 0.03  # metres of the hand in the cabinet that count as 1
 
 
 @dataclass(frozen=True)
@@ -137,6 +140,18 @@ def spot(drawer: Drawer, name: str) -> Place:
         return torch.cat([flat[..., :2], (floor + height).unsqueeze(-1)], -1)
 
     return place
+
+
+def hand_blocking(drawer: Drawer, way: Place) -> Term:
+    """How deep the hand, turned as it is, would be in the cabinet at the end of a way (B, 3): 1 at 3 cm."""
+
+    def term(points: Points, info: Info) -> Tensor:
+        hand, front = points["hand"] + way(points, info).unsqueeze(-2), _front(points, drawer)
+        low = hand[..., 2] < points[drawer.cabinet][..., 2].amax(-1, keepdim=True)
+        depth = _extent(points, drawer.cabinet, front)[1].unsqueeze(-1) - along(hand, front)
+        return ((depth * low).amax(-1) / _HAND_DEEP).clamp(0.0, 1.0)
+
+    return term
 
 
 # Rules ------------------------------------------------------------------------------------------------------------

@@ -27,6 +27,7 @@ __all__ = [
     "lift",
     "misalignment",
     "near",
+    "off_place",
     "place",
     "placed",
     "premature_close",
@@ -96,10 +97,15 @@ def still(arm: JointSpeeds, reached: Term) -> Term:
 # The planners' cost: a grasp that cannot be fooled ----------------------------------------------------------------
 
 
+def off_place(points: Points, name: str) -> Tensor:
+    """Way (B, 3) from the tool to where it would hold the object."""
+    return grip(points, name).place - contacts.tool_centre(points)
+
+
 @contacts.once
 def _off_place(points: Points, name: str) -> Tensor:
-    """Distance (B,) from the tool to where it would hold the object."""
-    return (contacts.tool_centre(points) - grip(points, name).place).norm(dim=-1)
+    """Its length (B,)."""
+    return off_place(points, name).norm(dim=-1)
 
 
 @contacts.once

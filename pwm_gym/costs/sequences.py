@@ -26,7 +26,7 @@ from pwm_gym.costs.registry import Function
 from pwm_gym.costs.stages import Stage
 from pwm_gym.costs.terms import Info, Place, Term, effort, ground_contact, tool, way_from_above
 
-__all__ = ["ALWAYS", "close_drawer", "close_lid", "insert", "open_drawer", "place", "put_in", "take"]
+__all__ = ["ALWAYS", "close_drawer", "close_lid", "insert", "open_drawer", "place", "put_in", "take", "take_out"]
 
 ALWAYS: Mapping[str, tuple[float, Function]] = {"ground_contact": (1.0, ground_contact), "effort": (1.0, effort)}
 """Terms that count in every stage."""
@@ -35,6 +35,7 @@ _CLEAR = 0.07  # metres over a handle above which the fingers may be open, and t
 _NARROW = 0.04  # metres between the fingers that are all too many there
 _TURNED, _ILL_TURNED = 0.06, 0.17  # shares of a right angle that the fingers may be off, and that are all wrong
 _MOVED = 8.0  # weight of the whole way of a drawer or a lid
+_BLOCKED = 3.0  # weight of a hand that would be in a cabinet
 _SPARE = 0.02  # metres by which a drawer is opened farther: it is pushed back a little where the hand leaves it
 
 
@@ -86,6 +87,16 @@ def take(name: str, height: float, until: Term | None = None) -> Stage:
     return Stage(f"take {name}", {**_grasp(name), "lift": (-5.0, objects.lift(name, height))}, lifted)
 
 
+def take_out(name: str, drawer: Drawer, height: float, until: Term | None = None) -> Stage:
+    """As :func:`take`, out of an open drawer: the hand is turned so that it passes by the cabinet."""
+
+    def way(points: Points, info: Info) -> Tensor:
+        return objects.off_place(points, name)
+
+    stage = take(name, height, until)
+    return replace(stage, terms={**stage.terms, "hand_blocking": (_BLOCKED, drawers.hand_blocking(drawer, way))})
+
+
 def place(name: str, onto: str, target: Place, arrived: Term, clearance: float = 0.02) -> Stage:
     """Hold an object, carry it from above to a place, and let it go.
 
@@ -107,7 +118,13 @@ def place(name: str, onto: str, target: Place, arrived: Term, clearance: float =
 
 def put_in(name: str, drawer: Drawer, inside: Term) -> Stage:
     """Put an object into an open drawer, until the rule ``inside`` says that it is there."""
-    return place(name, drawer.name, drawers.spot(drawer, name), inside, clearance=0.08)
+    target = drawers.spot(drawer, name)
+
+    def way(points: Points, info: Info) -> Tensor:
+        return target(points, info) - contacts.centre(points, name)
+
+    stage = place(name, drawer.name, target, inside, clearance=0.08)
+    return replace(stage, terms={**stage.terms, "hand_blocking": (_BLOCKED, drawers.hand_blocking(drawer, way))})
 
 
 def insert(name: str, lid: Lid, seated: Term) -> Stage:

@@ -82,7 +82,7 @@ register_stages(
     [
         sequences.place("mug", "machine", _stand, _stands),
         sequences.open_drawer(_DRAWER, OPENED),
-        sequences.take("pod", 0.06, until=_seated),
+        sequences.take_out("pod", _DRAWER, 0.06, until=_seated),
         sequences.insert("pod", _LID, _seated),
         sequences.close_lid(_LID, SHUT_ANGLE),
     ],

@@ -61,6 +61,8 @@ def test_the_planning_cost_is_a_sequence_of_other_tasks_stages_which_a_demonstra
     assert [int((stage == k).sum()) > 15 for k in range(5)] == [True] * 5 and stage[-1] == 5
     values = cost(points, {**info, "stage": stage})
     assert all(values[stage == k].min() > values[stage == k + 1].min() for k in range(5))
+    blocked = cost.evaluate(points, {**info, "stage": stage})["take pod: hand_blocking"][stage == 2]
+    assert blocked[0] > 1.0 and blocked[-1] == 0.0  # the expert turns the hand so that it passes by the cabinet
 
 
 def test_the_twin_is_an_environment_with_the_papers_point_count():
