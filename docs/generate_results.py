@@ -79,12 +79,11 @@ torchrun --nproc-per-node 2 -m pwm_gym train --data data-sets/PickCube data-sets
     --phases 1 1500 384 5 600 192 15 600 128
 ```
 
-`kitchen` went on from it with MugCleanup and Coffee, in four trainings of 32, 27, 14 and MINUTES4 minutes on the two cores
-beside other work. It has initial scenes of CoffeePreparation and saw no data of it. The second training is the first that
-draws the order of a cloud's points; the third and fourth add practice, demonstrations that hold the mug about its body
-(the expert's grips were by the rim alone before), and PickYCB's data. Of MugCleanup the first data set has 110
-demonstrations and 80 episodes of practice: one collection was stopped during practice, and the next went on with fewer
-episodes.
+`kitchen` went on from it with MugCleanup and Coffee, in four trainings of 32, 27, 14 and 16 minutes on the two cores
+beside other work. It has initial scenes of CoffeePreparation and saw no data of it. From the second training on windows
+draw the order of a cloud's points; the third and the fourth add practice, demonstrations that hold the mug about its
+body (earlier ones hold it by its rim), and PickYCB's data. Of MugCleanup the first data set has 110 demonstrations and
+80 episodes of practice: one collection was stopped during practice, and the next went on with fewer episodes.
 
 ```
 pwm-gym collect --task Coffee --episodes 240 --held-out 30 --practice 0.5
