@@ -34,7 +34,7 @@ def hooked(drawer: OpenDrawer, tool: np.ndarray) -> np.ndarray:
     return servo(PANDA, tool, target, np.cross([0.0, 0.0, 1.0], drawer.front), SPEED, gripper=-1.0)
 
 
-@pytest.mark.parametrize("start", [None, 3, 300, 1000])
+@pytest.mark.parametrize("start", [None, 300])
 def test_a_drawer_is_hooked_open_whatever_points_of_it_are_read(checkpoint, start):
     state = batch_state([checkpoint.bank(TASK.name).scene(0)])
     if start is not None:
