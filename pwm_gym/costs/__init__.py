@@ -16,7 +16,7 @@ from pwm_gym.costs.registry import (
     register_success,
     register_terms,
 )
-from pwm_gym.costs.stages import FINISHED, STAGES_LEFT, Stage, StagedCost, register_stages
+from pwm_gym.costs.stages import FINISHED, STAGES_LEFT, UNDONE, Stage, StagedCost, register_stages
 
 __all__ = [
     "COSTS",
@@ -24,6 +24,7 @@ __all__ = [
     "GRASPS",
     "STAGES_LEFT",
     "SUCCESSES",
+    "UNDONE",
     "Cost",
     "Points",
     "Stage",

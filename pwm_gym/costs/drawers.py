@@ -107,12 +107,7 @@ def _point(points: Points, drawer: Drawer, behind: float) -> Tensor:
 
 def handle(drawer: Drawer) -> Place:
     """Middle of the handle's bar."""
-
-    def place(points: Points, info: Info) -> Tensor:
-        flat = _point(points, drawer, drawer.bar[0])
-        return torch.cat([flat[..., :2], points[drawer.name][..., 2:].amax(-2) - drawer.bar[1]], -1)
-
-    return place
+    return before_handle(drawer, gap=0.0)
 
 
 def before_handle(drawer: Drawer, gap: float = 0.022) -> Place:
@@ -143,7 +138,12 @@ def spot(drawer: Drawer, name: str) -> Place:
 
 
 def hand_blocking(drawer: Drawer, way: Place) -> Term:
-    """How deep the hand, turned as it is, would be in the cabinet at the end of a way (B, 3): 1 at 3 cm."""
+    """How deep (B,) the hand, turned as it is, would be in the cabinet at the end of a way: 1 at 3 cm or more.
+
+    Args:
+        drawer: of the cabinet.
+        way: that the hand has still to go (B, 3), metres.
+    """
 
     def term(points: Points, info: Info) -> Tensor:
         hand, front = points["hand"] + way(points, info).unsqueeze(-2), _front(points, drawer)

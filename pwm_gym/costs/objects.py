@@ -27,13 +27,13 @@ __all__ = [
     "lift",
     "misalignment",
     "near",
-    "off_place",
     "place",
     "placed",
     "premature_close",
     "reach",
     "settle",
     "still",
+    "way_to_grip",
 ]
 
 _TOUCHING, _STOPPED = 0.006, 0.0016  # metres, and metres a step: of fingers that an object has stopped
@@ -97,15 +97,15 @@ def still(arm: JointSpeeds, reached: Term) -> Term:
 # The planners' cost: a grasp that cannot be fooled ----------------------------------------------------------------
 
 
-def off_place(points: Points, name: str) -> Tensor:
-    """Way (B, 3) from the tool to where it would hold the object."""
-    return grip(points, name).place - contacts.tool_centre(points)
+def way_to_grip(name: str) -> Place:
+    """Way (B, 3), metres, from the tool to where it would hold the object."""
+    return lambda points, info: grip(points, name).place - contacts.tool_centre(points)
 
 
 @contacts.once
 def _off_place(points: Points, name: str) -> Tensor:
-    """Its length (B,)."""
-    return off_place(points, name).norm(dim=-1)
+    """Distance (B,) from the tool to where it would hold the object."""
+    return (contacts.tool_centre(points) - grip(points, name).place).norm(dim=-1)
 
 
 @contacts.once

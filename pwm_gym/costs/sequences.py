@@ -13,7 +13,6 @@ Example:
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -89,12 +88,8 @@ def take(name: str, height: float, until: Term | None = None) -> Stage:
 
 def take_out(name: str, drawer: Drawer, height: float, until: Term | None = None) -> Stage:
     """As :func:`take`, out of an open drawer: the hand is turned so that it passes by the cabinet."""
-
-    def way(points: Points, info: Info) -> Tensor:
-        return objects.off_place(points, name)
-
-    stage = take(name, height, until)
-    return replace(stage, terms={**stage.terms, "hand_blocking": (_BLOCKED, drawers.hand_blocking(drawer, way))})
+    blocking = drawers.hand_blocking(drawer, objects.way_to_grip(name))
+    return take(name, height, until).plus({"hand_blocking": (_BLOCKED, blocking)})
 
 
 def place(name: str, onto: str, target: Place, arrived: Term, clearance: float = 0.02) -> Stage:
@@ -124,7 +119,7 @@ def put_in(name: str, drawer: Drawer, inside: Term) -> Stage:
         return target(points, info) - contacts.centre(points, name)
 
     stage = place(name, drawer.name, target, inside, clearance=0.08)
-    return replace(stage, terms={**stage.terms, "hand_blocking": (_BLOCKED, drawers.hand_blocking(drawer, way))})
+    return stage.plus({"hand_blocking": (_BLOCKED, drawers.hand_blocking(drawer, way))})
 
 
 def insert(name: str, lid: Lid, seated: Term) -> Stage:
@@ -135,9 +130,7 @@ def insert(name: str, lid: Lid, seated: Term) -> Stage:
     target = lids.holder(lid)
     stage = place(name, lid.machine, target, seated)
     carry = objects.carry_onto(name, target, clearance=0.045, within=0.002, slope=0.008)
-    return replace(
-        stage, terms={**stage.terms, "carry": (-2.0, carry), "aligned": (-1.5, objects.aligned(name, target))}
-    )
+    return stage.plus({"carry": (-2.0, carry), "aligned": (-1.5, objects.aligned(name, target))})
 
 
 def close_lid(lid: Lid, most: float) -> Stage:

@@ -38,6 +38,10 @@ class Stage:
     """Rule ``(points, info) -> bool (B,)`` that has to hold from then on, such as that what was brought stays where it
     is; where a scene breaks it, the stage begins anew."""
 
+    def plus(self, terms: Mapping[str, tuple[float, Function]]) -> Stage:
+        """The same stage with further terms, or with others of the same names."""
+        return replace(self, terms={**self.terms, **terms})
+
     def renamed(self, name: str) -> Stage:
         """The same stage under another name, where a sequence has it twice."""
         return replace(self, name=name)

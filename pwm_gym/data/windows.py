@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 
 import numpy as np
 import torch
@@ -32,9 +31,14 @@ class Windows:
             (one pushes another: rarer still), as much again.
         orders: of each cloud's points, among which :meth:`sample` draws. Models read an entity's first points; with a
             single order they would learn the motion of those few, and not know the same shape sampled anew.
+
+    Raises:
+        DatasetError: less than one order.
     """
 
     def __init__(self, dataset: Dataset, boost: float = 1.0, orders: int = 1) -> None:
+        if orders < 1:
+            raise DatasetError(f"orders={orders}; expected at least 1")
         poses = [torch.as_tensor(e.poses, dtype=torch.float64) for e in dataset.episodes]
         self._poses = matrix_from_pose7(torch.cat(poses)).float()  # (F, E, 4, 4)
         self._joints = torch.cat([torch.as_tensor(e.joints) for e in dataset.episodes])
@@ -89,11 +93,10 @@ class Windows:
         frames, cumulative = self._table(horizon)
         draw = torch.rand(batch, generator=generator, dtype=torch.float64) * cumulative[-1]
         chosen = frames[torch.searchsorted(cumulative, draw).clamp_max(len(frames) - 1)]
-        found = self.at(chosen, horizon, generator)
         if self._orders == 1:
-            return found
+            return self.at(chosen, horizon, generator)
         order = torch.randint(self._orders, (batch,), generator=generator)
-        return replace(found, clouds=self._clouds[order * self._combinations + self._combination[chosen]])
+        return self._cut(chosen, horizon, order * self._combinations + self._combination[chosen])
 
     def transitions(self) -> Batch:
         """Every single step of the data set, as windows of one."""
@@ -106,11 +109,15 @@ class Windows:
 
     def at(self, frames: Tensor, horizon: int, generator: torch.Generator) -> Batch:
         """The windows (B,) that begin at ``frames``; ``generator`` draws what a kind of windows leaves to chance."""
+        return self._cut(frames, horizon, self._combination[frames])
+
+    def _cut(self, frames: Tensor, horizon: int, clouds: Tensor) -> Batch:
+        """The windows (B,) that begin at ``frames``, with the canonical points at places ``clouds`` (B,)."""
         history = torch.maximum(frames[:, None] - torch.arange(3), self._first[frames][:, None])
         ahead = frames[:, None] + torch.arange(horizon + 1)
         return Batch(
             layout=self.layout,
-            clouds=self._clouds[self._combination[frames]],
+            clouds=self._clouds[clouds],
             frames=self._poses[history],
             actions=self._actions[ahead[:, :-1]],
             following=self._poses[ahead[:, 1:]],

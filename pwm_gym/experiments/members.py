@@ -206,7 +206,8 @@ def _piece(
     member: Member, mode: str, data: Path, out: Path, task: str, full: bool, objects: str = "", scale: float = 1.0
 ) -> Piece:
     """One member in one mode, named after all that decides its result, so that tables share equal ones."""
-    config, most = member.config(get_task(task)), member.max_steps(get_task(task))
+    planned = get_task(task)
+    config, most = member.config(planned), member.max_steps(planned)
     chunk = CHUNKS[mode] if CHUNKS[mode] < most else 0  # never looks again
     episodes = member.count(full)
     source = str(data)

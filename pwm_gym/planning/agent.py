@@ -29,7 +29,7 @@ class Agent:
     Args:
         model: world model to plan in.
         task: registered task.
-        config: settings of the planner; None takes those of the task's.
+        config: settings of the planner; None takes the task's planner's.
         cost: a registered cost or a callable; None takes the task's planning cost.
         seed: of the planner's noise.
         device: of the model.
@@ -49,9 +49,8 @@ class Agent:
         caution: float = 0.0,
     ) -> None:
         self.task, self.device, self.model = get_task(task), device, model
-        self.planner: Planner = build_planner(
-            config or get_planner_config(self.task.planner), self.task.control, device
-        )
+        config = config or get_planner_config(self.task.planner)
+        self.planner: Planner = build_planner(config, self.task.control, device)
         self.cost = get_cost(self.task.plan_cost if cost is None else cost).plus(penalties or {})
         self.objective = RolloutObjective(model, self.cost, get_grasp(self.task.grasp), caution=caution)
         self._generator = torch.Generator(device).manual_seed(seed)

@@ -36,10 +36,9 @@ class MPPIConfig(SamplingConfig):
     @classmethod
     def fine(cls) -> MPPIConfig:
         """Samples that refine seven times as finely, and one channel at a time: for tasks of millimetres."""
-        arm = replace(ActionNoise().translation, min_noise_scale=0.03)
-        turn = replace(ActionNoise().rotation, min_noise_scale=0.03)
-        noise = replace(ActionNoise(), translation=arm, rotation=turn)
-        return cls(noise=noise, single_channel_share=0.45)
+        noise = ActionNoise()
+        moves, turns = (replace(kind, min_noise_scale=0.03) for kind in (noise.translation, noise.rotation))
+        return cls(noise=replace(noise, translation=moves, rotation=turns), single_channel_share=0.45)
 
     @classmethod
     def paper(cls, horizon: int = 10) -> MPPIConfig:

@@ -103,41 +103,32 @@ class ComponentNoise:
     bound: tuple[float, ...]
 
 
-def arm_mask(control: Control, samples: int, single_arm_share: float) -> Tensor | None:
-    """Which components (S, A) each sample perturbs: those of one arm, in turn, or all; None with less than two arms.
+def sample_mask(control: Control, samples: int, single_arm_share: float, single_channel_share: float) -> Tensor:
+    """Which components (S, A), bool, each sample perturbs; the others follow the last plan.
 
     Args:
-        control: says which arm each component belongs to; components of no arm are always perturbed.
+        control: says which arm and channel each component belongs to; components of no arm are always perturbed.
         samples: S.
-        single_arm_share: share of the samples in which one arm moves and the others follow the last plan.
+        single_arm_share: share of the samples that perturb one arm alone, each arm in turn.
+        single_channel_share: share of the samples that perturb one channel alone, each in turn; where it is not one of
+            the sample's arm, it is the only one all the same.
     """
-    names = control.arm_names
-    owner = [names.index(c.arm) if c.arm else -1 for c in control.channels for _ in range(c.start, c.stop)]
-    return _single_mask(owner, len(names), samples, single_arm_share, step=1)
+    names, channels = control.arm_names, control.channels
+    arm_of = [names.index(c.arm) if c.arm else -1 for c in channels for _ in range(c.start, c.stop)]
+    channel_of = [k for k, c in enumerate(channels) for _ in range(c.start, c.stop)]
+    of_arm = _single_mask(arm_of, len(names), samples, single_arm_share, step=1)
+    of_channel = _single_mask(channel_of, len(channels), samples, single_channel_share, step=2)
+    both = of_arm & of_channel
+    return torch.where(both.any(1, keepdim=True), both, of_channel)
 
 
-def channel_mask(control: Control, samples: int, single_channel_share: float) -> Tensor | None:
-    """Which components (S, A) each sample perturbs: those of one channel, in turn, or all; None with a single channel.
-
-    Args:
-        control: of the channels.
-        samples: S.
-        single_channel_share: share of the samples in which one channel is perturbed and the others follow the last
-            plan.
-    """
-    owner = [k for k, c in enumerate(control.channels) for _ in range(c.start, c.stop)]
-    return _single_mask(owner, len(control.channels), samples, single_channel_share, step=2)
-
-
-def _single_mask(owner: list[int], count: int, samples: int, share: float, step: int) -> Tensor | None:
+def _single_mask(owner: list[int], count: int, samples: int, share: float, step: int) -> Tensor:
     """Components (S, A) that samples perturb, a ``share`` of which those of one owner alone; -1 belongs to all.
 
     ``step`` chooses which samples those are: wide and fine ones have their share each.
     """
-    if count < 2:
-        return None
     place = torch.arange(samples, dtype=torch.float64) * _GOLDEN * step % 1.0
-    single = place < share
+    single = (place < share) & (count > 1)
     chosen = (place / max(share, 1e-9) * count).long().clamp(max=count - 1)  # (S,)
     owners = torch.tensor(owner)
     return ~single[:, None] | (owners == chosen[:, None]) | (owners < 0)

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from pwm_gym.errors import PwmGymError
-from pwm_gym.planning.noise import ActionNoise, arm_mask, channel_mask
+from pwm_gym.planning.noise import ActionNoise, sample_mask
 from pwm_gym.robots import Control
 
 __all__ = ["Objective", "Planner", "SamplingConfig", "SamplingPlanner"]
@@ -59,8 +59,8 @@ class SamplingConfig:
     single_arm_share: float = 0.5
     """Share of the samples that perturb one arm alone, each arm in turn, where a robot has several."""
     single_channel_share: float = 0.0
-    """Share of the samples that perturb one channel alone, each in turn: where a task asks for exact places, none that
-    moves as well would turn, open or shut."""
+    """Share of the samples that perturb one channel alone, each in turn: where a task asks for exact places, a good
+    turn of the hand is lost among the bad motions that come with it."""
     iterations: int = 1
     """Rounds of sampling around the improved mean."""
 
@@ -131,13 +131,8 @@ class SamplingPlanner(ABC, Generic[Config]):
         samples = self.config.samples
         place = torch.linspace(0.0, 1.0, samples, device=least.device).unsqueeze(-1)
         scale = 1.0 - place * (1.0 - least)
-        for mask in (
-            arm_mask(control, samples, self.config.single_arm_share),
-            channel_mask(control, samples, self.config.single_channel_share),
-        ):
-            if mask is not None:
-                scale = scale * mask.to(scale)
-        return scale.unsqueeze(1)
+        moves = sample_mask(control, samples, self.config.single_arm_share, self.config.single_channel_share)
+        return (scale * moves.to(scale)).unsqueeze(1)
 
     def reset(self) -> None:
         """Forget the last plan."""

@@ -49,7 +49,13 @@ def resample_clouds(clouds: np.ndarray, full: Layout, layout: Layout) -> np.ndar
 
 
 def reordered(points: np.ndarray, start: int, leading: int) -> np.ndarray:
-    """The points of a cloud (m, 3) in another order: ``leading`` well-spread ones from ``start`` on, then the rest."""
+    """The points of a cloud (m, 3) in another order: well-spread ones first, then the rest as they were.
+
+    Args:
+        points: the cloud.
+        start: place of the point that comes first.
+        leading: how many are in the order of farthest-point sampling; all where the cloud has fewer.
+    """
     import fpsample
 
     first = fpsample.fps_sampling(np.ascontiguousarray(points, np.float32), min(leading, len(points)), start_idx=start)

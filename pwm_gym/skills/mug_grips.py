@@ -17,6 +17,7 @@ _RIM_WIDE = 0.032  # between the pads on the way down; wider, a finger would mee
 _RIM_RELEASED = 0.026
 _BELOW_TOP = 0.022  # where the body is held
 _EASE, _RELEASED = 0.010, 0.006  # wider than the body on the way down, if the gripper is; and when it is let go
+_SUNK, _LOOSE = 0.008, 0.002  # narrower and wider than the body, where it counts as held
 _WIDEST = 0.080  # the open gripper
 _LEAST_EASE = 0.008
 _HOVER = 0.12  # over the place, from where the fingers come down
@@ -57,7 +58,7 @@ def rim_grip(mug: Mug, pose: np.ndarray, side: np.ndarray, tool: np.ndarray, spe
 def body_grip(mug: Mug, pose: np.ndarray, speed: float) -> MugGrip:
     """About its middle, across its handle; arguments as of :func:`rim_grip`."""
     width = 2.0 * mug.radius
-    pinch = Pinch((width - 0.008, width + 0.002), min(width + _EASE, _WIDEST), _HOVER, speed)
+    pinch = Pinch((width - _SUNK, width + _LOOSE), min(width + _EASE, _WIDEST), _HOVER, speed)
     place = pose[:3] + np.array([0.0, 0.0, 0.5 * mug.height - _BELOW_TOP])
     return MugGrip(pinch, place, np.cross([0.0, 0.0, 1.0], _handle(pose)), width + _RELEASED)
 

@@ -3,7 +3,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from pwm_gym.costs import FINISHED, STAGES_LEFT, Stage, StagedCost, get_cost, register_stages
+from pwm_gym.costs import FINISHED, STAGES_LEFT, UNDONE, Stage, StagedCost, get_cost, register_stages
 from pwm_gym.costs.registry import COSTS
 from pwm_gym.errors import PwmGymError
 from pwm_gym.scene import EntityPoints, batch_state
@@ -64,10 +64,10 @@ def test_a_stage_whose_lasting_rule_is_broken_begins_anew_and_costs_its_price():
     points, info = scenes([0.2, 0.6, 0.2, 0.2], [0.0, 0.0, 2.0, 0.0])
     stage = torch.tensor([1, 1, 1, 0])
     told = cost.evaluate(points, {**info, "stage": stage})
-    assert told["undone"].tolist() == [10.0, 0.0, 10.0, 0.0]
+    assert told[UNDONE].tolist() == [10.0, 0.0, 10.0, 0.0]
     assert cost.advance(stage, points, info).tolist() == [0, 1, 0, 0]
     assert cost.along(stage, points, info, 1).flatten().tolist() == [1, 1, 2, 0]  # not inside a rollout
-    assert "undone" not in COST.evaluate(points, {**info, "stage": stage})
+    assert UNDONE not in COST.evaluate(points, {**info, "stage": stage})
 
 
 def test_rules_of_stages_that_nothing_has_come_to_are_not_asked():

@@ -82,6 +82,8 @@ def test_training_draws_orders_of_a_clouds_points(several):
         gaps = torch.cdist(told, found, compute_mode="donot_use_mm_for_euclid_dist")
         assert gaps.amin(1).max() == 0.0 and gaps.amin(2).max() == 0.0
     assert torch.equal(anew.transitions().clouds, once.transitions().clouds)
+    with pytest.raises(DatasetError, match="orders=0; expected at least 1"):
+        Windows(several, orders=0)
 
 
 @pytest.mark.parametrize(

@@ -34,7 +34,7 @@ def hooked(drawer: OpenDrawer, tool: np.ndarray) -> np.ndarray:
     return servo(PANDA, tool, target, np.cross([0.0, 0.0, 1.0], drawer.front), SPEED, gripper=-1.0)
 
 
-@pytest.mark.parametrize("start", [None, 300])
+@pytest.mark.parametrize("start", [None, 3, 300, 1000])
 def test_a_drawer_is_hooked_open_whatever_points_of_it_are_read(checkpoint, start):
     state = batch_state([checkpoint.bank(TASK.name).scene(0)])
     if start is not None:
@@ -48,4 +48,4 @@ def test_a_drawer_is_hooked_open_whatever_points_of_it_are_read(checkpoint, star
             openings.append(drawer.opening)
             action = hooked(drawer, PANDA.tool(poses))
             state = model.step(state, torch.as_tensor(action, dtype=torch.float32)[None])
-    assert openings[0] < 0.002 and max(openings) > 0.07  # in the simulator 0.13; before, 0.003
+    assert openings[0] < 0.002 and max(openings) > 0.12

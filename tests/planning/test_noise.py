@@ -147,6 +147,22 @@ def test_one_channel_alone_or_all_are_perturbed(share):
         assert alone[:75].float().mean() == pytest.approx(share, abs=0.06)
 
 
+def test_every_sample_of_several_arms_perturbs_something():
+    config = MPPIConfig(
+        samples=300,
+        stop_samples=0,
+        single_arm_share=0.5,
+        single_channel_share=0.5,
+        noise=ActionNoise.uniform(NoiseConfig(sigma=(0.5,), correlation=0.0)),
+    )
+    *samples, mean = seen_by(config, BOTH, last_action=torch.zeros(1, 24))
+    moves = (torch.stack(samples) - mean).abs().amax(1) > 0  # (S, A)
+    assert moves.any(1).all()
+    channels = torch.stack([moves[:, c.slice].any(1) for c in BOTH.channels], 1).sum(1)
+    assert (channels == 1).float().mean() == pytest.approx(0.5, abs=0.03)
+    assert {int(n) for n in channels.unique()} == {1, 3, 6}  # a channel, an arm, both
+
+
 def test_settings_that_do_not_fit_the_control_are_named():
     wide = replace(ActionNoise(), translation=NoiseConfig((0.1, 0.2)))
     with pytest.raises(PwmGymError, match="translation sigma has 2 values; expected 1 or 3"):

@@ -116,6 +116,8 @@ class MoverContacts(nn.Module):
     def _look_closer(plan: Plan, shapes: Shapes, local: Tensor, half: Tensor) -> Tensor:
         """Points (B, P, 4, n) to read: of movers, half are those of the larger clouds nearest to a partner's box.
 
+        What a mover hangs on is left out: inside its box, every point would be near.
+
         What may be touched is told at the clouds' resolution, and the network reads no more points.
 
         Args:
