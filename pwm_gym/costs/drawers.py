@@ -22,6 +22,7 @@ __all__ = [
     "along_handle",
     "before_handle",
     "behind_handle",
+    "fingers_blocking",
     "hand_blocking",
     "handle",
     "inside",
@@ -34,6 +35,7 @@ __all__ = [
     "spot",
 ]
 
+_FINGER_GAP, _FINGER_DEEP = 0.004, 0.01  # metres between finger and side, and of the finger in it that count as 1
 _HAND_DEEP = 0.03  # metres of the hand in the cabinet that count as 1
 
 
@@ -150,6 +152,24 @@ def hand_blocking(drawer: Drawer, way: Place) -> Term:
         low = hand[..., 2] < points[drawer.cabinet][..., 2].amax(-1, keepdim=True)
         depth = _extent(points, drawer.cabinet, front)[1].unsqueeze(-1) - along(hand, front)
         return ((depth * low).amax(-1) / _HAND_DEEP).clamp(0.0, 1.0)
+
+    return term
+
+
+def fingers_blocking(drawer: Drawer, way: Place) -> Term:
+    """How far (B,) a finger, open as it is, would be in a side of the tray at the end of a way: 1 at 1 cm or more.
+
+    Args:
+        drawer: of the tray.
+        way: that the hand has still to go (B, 3), metres.
+    """
+    half_width = drawer.tray[2]
+
+    def term(points: Points, info: Info) -> Tensor:
+        moved = way(points, info) - _point(points, drawer, 0.0)
+        fingers = torch.cat([points["left_gripper"], points["right_gripper"]], -2) + moved.unsqueeze(-2)
+        beside = along(fingers, _side(points, drawer)).abs().amax(-1)
+        return ((beside + _FINGER_GAP - half_width) / _FINGER_DEEP).clamp(0.0, 1.0)
 
     return term
 

@@ -24,7 +24,9 @@ __all__ = [
     "finger_blocking",
     "grasped",
     "held",
+    "left",
     "lift",
+    "low_over",
     "misalignment",
     "near",
     "place",
@@ -41,6 +43,8 @@ _AJAR, _SHUT = -0.3, 0.5  # the gripper's command from which it may hold somethi
 _EMPTY = 0.001  # metres between pads that hold nothing
 _OFF_PLACE = 0.02  # metres between tool and grip place within which the fingers may shut
 _NARROW, _WIDE = 0.06, 0.08  # metres: a width that fits well, and the open Panda gripper's
+_HAND_WIDTH = 0.10  # metres from the tool to an object's centre, in the plane, at which the hand is beside it
+_LEFT, _LEAVING = 0.02, 0.10  # metres over an object at which the fingers have left it, and that they have to rise
 
 
 # A simulator's shaped rewards -------------------------------------------------------------------------------------
@@ -130,11 +134,18 @@ def _firmness(points: Points, info: Info, name: str) -> Tensor:
     return _touching(points, name) * slow * shut
 
 
-def approach(name: str) -> Term:
-    """Distance from the tool to the place where it would hold the object, sharper when near; none once it is held."""
+def approach(name: str, clearance: float = 0.0) -> Term:
+    """Way from the tool to the place where it would hold the object, sharper when near; none once it is held.
+
+    With a ``clearance`` the way is one from above (:func:`pwm_gym.costs.terms.way_from_above`), metres.
+    """
 
     def term(points: Points, info: Info) -> Tensor:
-        distance = _off_place(points, name)
+        if clearance:
+            offset = contacts.tool_centre(points) - grip(points, name).place
+            distance = way_from_above(offset, clearance, within=0.015)
+        else:
+            distance = _off_place(points, name)
         return (5.0 * distance + torch.tanh(distance / 0.02)) * (1 - _firmness(points, info, name))
 
     return term
@@ -227,6 +238,23 @@ def lift(name: str, height: float) -> Term:
         return _firmness(points, info, name) * raised.clamp(0.0, 1.0)
 
     return term
+
+
+def _over(points: Points, name: str) -> Tensor:
+    """Height (B,), metres, of the finger tips over the object's top; or how far the hand is beside it, if that is more."""
+    tips = torch.minimum(points["left_gripper"][..., 2].amin(-1), points["right_gripper"][..., 2].amin(-1))
+    beside = (contacts.tool_centre(points) - contacts.centre(points, name))[..., :2].norm(dim=-1) - _HAND_WIDTH
+    return torch.maximum(tips - points[name][..., 2].amax(-1), beside)
+
+
+def low_over(name: str) -> Term:
+    """How far the fingers have still to rise until they have left the object, as a share of 10 cm."""
+    return lambda points, info: ((_LEFT + 0.01 - _over(points, name)) / _LEAVING).clamp(0.0, 1.0)
+
+
+def left(name: str) -> Term:
+    """Bool (B,): the fingers are over the object, or beside it: they may go anywhere without pushing it."""
+    return lambda points, info: _over(points, name) >= _LEFT
 
 
 def settle(name: str, target: Place, arm: JointSpeeds, limit: float) -> Term:

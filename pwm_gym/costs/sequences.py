@@ -21,17 +21,20 @@ from pwm_gym.costs import contacts, drawers, lids, objects
 from pwm_gym.costs.contacts import Points
 from pwm_gym.costs.drawers import Drawer
 from pwm_gym.costs.lids import Lid
+from pwm_gym.costs.motion import speed
 from pwm_gym.costs.registry import Function
 from pwm_gym.costs.stages import Stage
 from pwm_gym.costs.terms import Info, Place, Term, effort, ground_contact, tool, way_from_above
 
-__all__ = ["ALWAYS", "close_drawer", "close_lid", "insert", "open_drawer", "place", "put_in", "take", "take_out"]
+__all__ = ["ALWAYS", "close_drawer", "close_lid", "insert", "leave", "open_drawer", "place", "put_in", "take", "take_out"]
 
 ALWAYS: Mapping[str, tuple[float, Function]] = {"ground_contact": (1.0, ground_contact), "effort": (1.0, effort)}
 """Terms that count in every stage."""
 
 _CLEAR = 0.07  # metres over a handle above which the fingers may be open, and turned in any way
 _NARROW = 0.04  # metres between the fingers that are all too many there
+_SLOW = 0.003  # metres a step of an object that has been let go, and stands
+_WIDE = 0.075  # metres between open fingers
 _TURNED, _ILL_TURNED = 0.06, 0.17  # shares of a right angle that the fingers may be off, and that are all wrong
 _MOVED = 8.0  # weight of the whole way of a drawer or a lid
 _BLOCKED = 3.0  # weight of a hand that would be in a cabinet
@@ -87,9 +90,15 @@ def take(name: str, height: float, until: Term | None = None) -> Stage:
 
 
 def take_out(name: str, drawer: Drawer, height: float, until: Term | None = None) -> Stage:
-    """As :func:`take`, out of an open drawer: the hand is turned so that it passes by the cabinet."""
-    blocking = drawers.hand_blocking(drawer, objects.way_to_grip(name))
-    return take(name, height, until).plus({"hand_blocking": (_BLOCKED, blocking)})
+    """As :func:`take`, out of an open drawer: the hand is turned along its handle, so that it passes by the cabinet."""
+    way = objects.way_to_grip(name)
+    return take(name, height, until).plus(
+        {
+            "turn": (2.0, drawers.along_handle(drawer)),
+            "hand_blocking": (_BLOCKED, drawers.hand_blocking(drawer, way)),
+            "tray_blocking": (_BLOCKED, drawers.fingers_blocking(drawer, way)),
+        }
+    )
 
 
 def place(name: str, onto: str, target: Place, arrived: Term, clearance: float = 0.02) -> Stage:
@@ -99,16 +108,30 @@ def place(name: str, onto: str, target: Place, arrived: Term, clearance: float =
         name: the object.
         onto: what the place belongs to, for the stage's name.
         target: where the mean of its points shall be.
-        arrived: rule that it is there, from then on; the stage ends when it is not held any more, either.
+        arrived: rule that it is there, from then on; the stage ends when it is not held any more, and stands.
         clearance: height over the place at which it is carried.
     """
     held = objects.held(name)
 
     def done(points: Points, info: Info) -> Tensor:
-        return arrived(points, info) & ~held(points, info)
+        slow = speed(info["velocity"], name) <= _SLOW
+        return arrived(points, info) & ~held(points, info) & slow
 
     terms = {**_grasp(name), "carry": (-2.0, objects.carry_onto(name, target, clearance))}
     return Stage(f"place {name} at {onto}", {**terms, "hold_on": (2.0, _both(arrived, held))}, done, lasting=arrived)
+
+
+def leave(name: str) -> Stage:
+    """Raise the open fingers off an object that has been let go, until they may go anywhere without pushing it."""
+    return Stage(
+        f"leave {name}",
+        {
+            "low": (8.0, objects.low_over(name)),
+            "narrow": (2.0, _narrow),
+            "disturbance": (2.0, objects.disturbance(name)),
+        },
+        objects.left(name),
+    )
 
 
 def put_in(name: str, drawer: Drawer, inside: Term) -> Stage:
@@ -129,7 +152,7 @@ def insert(name: str, lid: Lid, seated: Term) -> Stage:
     """
     target = lids.holder(lid)
     stage = place(name, lid.machine, target, seated)
-    carry = objects.carry_onto(name, target, clearance=0.045, within=0.002, slope=0.008)
+    carry = objects.carry_onto(name, target, clearance=0.065, within=0.002, slope=0.008)
     return stage.plus({"carry": (-2.0, carry), "aligned": (-1.5, objects.aligned(name, target))})
 
 
@@ -146,7 +169,7 @@ def close_lid(lid: Lid, most: float) -> Stage:
 def _grasp(name: str) -> dict[str, tuple[float, Function]]:
     """Terms of a grasp from above anywhere on an object."""
     return {
-        "approach": (1.5, objects.approach(name)),
+        "approach": (1.5, objects.approach(name, clearance=0.05)),
         "premature_close": (4.0, objects.premature_close(name)),
         "finger_blocking": (3.0, objects.finger_blocking(name)),
         "misalignment": (2.0, objects.misalignment(name)),
@@ -167,6 +190,11 @@ def _approach(target: Place, clearance: float) -> Term:
 def _open(points: Points, info: Info) -> Tensor:
     """How far the fingers are open: 1 where they could not hook a handle."""
     return (contacts.opening(points) / _NARROW).clamp(0.0, 1.0)
+
+
+def _narrow(points: Points, info: Info) -> Tensor:
+    """How far the fingers are from being open, as a share of the way."""
+    return (1.0 - contacts.opening(points) / _WIDE).clamp(0.0, 1.0)
 
 
 def _low_unready(target: Place, turn: Term) -> Term:

@@ -81,6 +81,7 @@ register_stages(
     "coffee_preparation_plan",
     [
         sequences.place("mug", "machine", _stand, _stands),
+        sequences.leave("mug"),
         sequences.open_drawer(_DRAWER, OPENED),
         sequences.take_out("pod", _DRAWER, 0.06, until=_seated),
         sequences.insert("pod", _LID, _seated),

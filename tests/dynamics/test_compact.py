@@ -342,3 +342,31 @@ def test_more_layouts_than_are_remembered_work(worlds):
     for _ in range(40):
         copy = replace(state, layout=Layout.from_json(state.layout.to_json()))
         assert torch.equal(model.step(model.prepare(copy), action).poses(), expected)
+
+
+@torch.no_grad()
+@pytest.mark.parametrize("name", ["cube", "two arms"])
+def test_what_is_near_the_robot_and_not_touched_does_not_change_how_it_moves(worlds, name):
+    world = worlds[name]
+    state, action = world.state(moving=False), world.actions()
+    links = [k for k, e in enumerate(state.layout) if e.driven]
+    loose = state.layout.loose[0]
+
+    def moves(gaps, away, turn):
+        """Links' next poses beside a loose body that is ``away`` and turned by a vector."""
+        frames = state.frames.clone()
+        frames[:, :, loose, 0, 3] += away
+        frames[:, :, loose, :3, :3] = rotation_from_vector(torch.tensor(turn)) @ frames[:, :, loose, :3, :3]
+        model = world.model(hidden_gaps=gaps)
+        return model.step(model.prepare(replace(state, frames=frames)), action).poses()[:, links]
+
+    def difference(gaps, away):
+        return float((moves(gaps, away, [0.0, 0.0, 0.0]) - moves(gaps, away, [0.4, -0.7, 0.2])).abs().max())
+
+    assert difference((0.01, 3.0), 2.0) < 1e-6 < difference((0.0, 0.0), 2.0)
+    assert difference((0.01, 0.5), 2.0) > 1e-6  # farther than that, it is seen
+
+
+def test_gaps_that_cannot_be_are_refused(worlds):
+    with pytest.raises(PwmGymError, match=r"hidden_gaps=\(0.1, 0.02\); expected 0 <= from <= to"):
+        worlds["cube"].model(hidden_gaps=(0.1, 0.02))

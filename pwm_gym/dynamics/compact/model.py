@@ -68,6 +68,9 @@ class CompactConfig:
     """Whether a known arm's joints are what moves; otherwise its hand moves freely."""
     arm_width: int = 128
     """Channels of the network of the joints' response."""
+    hidden_gaps: tuple[float, float] = (0.0, 0.0)
+    """Gaps between robot and loose object, from and to, metres, at which the object is hidden from the robot's tokens:
+    near, but not touching. Equal ones hide nothing."""
     uncertain: bool = True
     """Whether it tells how far off it may be (``RigidState.error``)."""
 
@@ -87,6 +90,8 @@ class CompactModel(nn.Module):
         self.action_size = self.control.size
         if self.config.blocks < 1:
             raise PwmGymError(f"blocks={self.config.blocks}; expected at least 1")
+        if not 0.0 <= self.config.hidden_gaps[0] <= self.config.hidden_gaps[1]:
+            raise PwmGymError(f"hidden_gaps={self.config.hidden_gaps}; expected 0 <= from <= to")
         c, count = self.config, len(self.links)
         fall = -_GRAVITY * self.control.period**2
         self.robot = RobotMotion(self.links, self.control, c.width, c.arm_width, c.kinematic)
@@ -179,7 +184,8 @@ class CompactModel(nn.Module):
             rows.append(self._with_contacts(plan, tokens[:, plan.links :], contacts.told))
         elif len(plan.order) > plan.links:
             rows.append(tokens[:, plan.links :])
-        tokens = self._attend(torch.cat(rows, 1), self._turned(action, frames[:, 0, :3, :3]))
+        shown = None if contacts is None else self._seen(plan, contacts.to_robot)
+        tokens = self._attend(torch.cat(rows, 1), self._turned(action, frames[:, 0, :3, :3]), shown)
 
         # Motions: the robot first, then what it moves.
         links_next, joints = self.robot.move(
@@ -228,13 +234,31 @@ class CompactModel(nn.Module):
             parts.append((part.unsqueeze(1) @ rotation).squeeze(1) if vector else part)
         return torch.cat(parts, 1) if parts else action
 
-    def _attend(self, entities: Tensor, action: Tensor) -> Tensor:
-        """Entity tokens (B, P, C) after attention over [entities, action, registers]."""
+    def _seen(self, plan: Plan, to_robot: Tensor) -> Tensor | None:
+        """Which tokens (B, T, T) of [entities, action, registers] see which, for movers at gaps (B, F) to the robot.
+
+        Links, action and registers do not see a loose object that is near and not touched: else one in a place that no
+        training had, such as something small in a drawer, could stop an arm in mid-air.
+        """
+        least, most = self.config.hidden_gaps
+        if least == most or not plan.links or not plan.loose:
+            return None
+        count = len(plan.order)
+        total = count + 1 + self.config.registers
+        gaps = to_robot[:, : len(plan.loose)]
+        shown = torch.ones(len(gaps), total, device=gaps.device)
+        shown[:, plan.loose_places] = ((gaps <= least) | (gaps > most)).to(shown)
+        seen = torch.ones(len(gaps), total, total, device=gaps.device)
+        seen[:, : plan.links] = seen[:, count:] = shown.unsqueeze(1)
+        return seen
+
+    def _attend(self, entities: Tensor, action: Tensor, seen: Tensor | None) -> Tensor:
+        """Entity tokens (B, P, C) after attention over [entities, action, registers], each over what it sees."""
         registers = self.register.expand(len(action), -1, -1)
         tokens = torch.cat([entities, self.action(action).unsqueeze(1), registers], 1)
         for block in self.blocks[:-1]:
-            tokens = block(tokens)
-        return self.norm(self.blocks[-1](tokens, read=entities.shape[1]))
+            tokens = block(tokens, seen=seen)
+        return self.norm(self.blocks[-1](tokens, read=entities.shape[1], seen=seen))
 
     @staticmethod
     def _with_contacts(plan: Plan, tokens: Tensor, told: Tensor) -> Tensor:

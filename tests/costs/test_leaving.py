@@ -1,0 +1,72 @@
+"""Letting an object go and leaving it, and reaching into a drawer, which planning costs ask for."""
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+
+from pwm_gym.costs import drawers, objects
+from pwm_gym.scene import sample_surface
+from pwm_gym.sim.cabinet import CABINET, DRAWER, DRAWER_JOINT, TRAY
+
+
+def cloud(mesh, at, count=1500):
+    return torch.as_tensor(sample_surface(mesh, count, 0) + np.asarray(at), dtype=torch.float32).unsqueeze(0)
+
+
+def box(sides, at):
+    return trimesh.creation.box(sides, trimesh.transformations.translation_matrix(at))
+
+
+def gripper(tool, opening=0.08):
+    """Clouds (1, n, 3) of fingers that close along y, and of their hand, about a tool centre."""
+    half = opening / 2 + 0.0135
+    parts = {
+        "hand": ((0.06, 0.2, 0.066), (0, 0, 0.0767)),
+        "left_gripper": ((0.02, 0.027, 0.05), (0, half, 0.0201)),
+        "right_gripper": ((0.02, 0.027, 0.05), (0, -half, 0.0201)),
+    }
+    return {name: cloud(box(sides, at), tool, 400) for name, (sides, at) in parts.items()}
+
+
+MUG = cloud(trimesh.creation.cylinder(0.03, 0.08), (0.5, 0.1, 0.04))
+
+
+def mug_and(tool):
+    return {**gripper(tool), "mug": MUG}
+
+
+def test_a_hand_leaves_an_object_upwards():
+    left, low = objects.left("mug"), objects.low_over("mug")
+    heights = [0.05, 0.08, 0.10, 0.13]
+    scenes = [mug_and((0.5, 0.1, z)) for z in heights]
+    assert [bool(left(s, {})) for s in scenes] == [False, False, False, True]
+    shares = [float(low(s, {})) for s in scenes]
+    assert shares == sorted(shares, reverse=True) and shares[0] > 0.5 and shares[-1] == 0.0
+
+
+def test_a_hand_that_is_beside_an_object_has_left_it():
+    assert bool(objects.left("mug")(mug_and((0.5, -0.1, 0.05)), {}))
+
+
+def drawer_scene(tool, opening, way):
+    """An open drawer, and a gripper that has ``way`` still to go; the drawer opens along x."""
+    cabinet, drawer = (
+        trimesh.util.concatenate([box(part.size, part.centre) for part in parts]) for parts in (CABINET, DRAWER)
+    )
+    place = np.array(DRAWER_JOINT.origin[:3]) + [0.14, 0.0, 0.0]
+    points = {**gripper(tool, opening), "cabinet": cloud(cabinet, (0, 0, 0), 4000), "drawer": cloud(drawer, place, 4000)}
+    blocking = drawers.fingers_blocking(drawers.CABINET_DRAWER, lambda points, info: torch.tensor([way]))
+    return float(blocking(points, {}))
+
+
+@pytest.mark.parametrize(
+    ("beside", "opening", "blocked"),
+    [(0.0, 0.08, False), (0.03, 0.08, False), (0.06, 0.08, True), (0.06, 0.015, False), (-0.06, 0.08, True)],
+)
+def test_open_fingers_do_not_fit_beside_a_trays_side(beside, opening, blocked):
+    place = (0.1, beside, 0.0)
+    assert TRAY[1][1] == pytest.approx(0.103)  # half its width; an open finger reaches 6.7 cm from the tool
+    for tool in (place, (0.0, 0.0, 0.3)):
+        told = drawer_scene(tool, opening, np.subtract(place, tool).astype(np.float32).tolist())
+        assert (told > 0.9) if blocked else (told == 0.0), told
