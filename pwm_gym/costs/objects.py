@@ -241,7 +241,7 @@ def lift(name: str, height: float) -> Term:
 
 
 def _over(points: Points, name: str) -> Tensor:
-    """Height (B,), metres, of the finger tips over the object's top; or how far the hand is beside it, if that is more."""
+    """Height (B,), metres, of the finger tips over the object's top, or how far the hand is beside it: the larger."""
     tips = torch.minimum(points["left_gripper"][..., 2].amin(-1), points["right_gripper"][..., 2].amin(-1))
     beside = (contacts.tool_centre(points) - contacts.centre(points, name))[..., :2].norm(dim=-1) - _HAND_WIDTH
     return torch.maximum(tips - points[name][..., 2].amax(-1), beside)

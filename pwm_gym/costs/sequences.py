@@ -26,7 +26,18 @@ from pwm_gym.costs.registry import Function
 from pwm_gym.costs.stages import Stage
 from pwm_gym.costs.terms import Info, Place, Term, effort, ground_contact, tool, way_from_above
 
-__all__ = ["ALWAYS", "close_drawer", "close_lid", "insert", "leave", "open_drawer", "place", "put_in", "take", "take_out"]
+__all__ = [
+    "ALWAYS",
+    "close_drawer",
+    "close_lid",
+    "insert",
+    "leave",
+    "open_drawer",
+    "place",
+    "put_in",
+    "take",
+    "take_out",
+]
 
 ALWAYS: Mapping[str, tuple[float, Function]] = {"ground_contact": (1.0, ground_contact), "effort": (1.0, effort)}
 """Terms that count in every stage."""

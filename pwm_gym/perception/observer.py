@@ -15,6 +15,7 @@ from pwm_gym.completion import Completer
 from pwm_gym.errors import PwmGymError, SceneError
 from pwm_gym.perception.cleaning import Cleaning, clean
 from pwm_gym.perception.frame import Frame
+from pwm_gym.perception.furniture import Furniture, furniture_names
 from pwm_gym.perception.segmenters import Segmenter
 from pwm_gym.perception.tracking import Tracker, TrackingConfig
 from pwm_gym.robots import RobotCloud
@@ -22,6 +23,9 @@ from pwm_gym.scene import Layout, Scene
 from pwm_gym.scene.se3 import pose7_from_matrix
 
 __all__ = ["Observation", "SceneObserver"]
+
+
+_SHOWN = 100  # points of an object that the first view did not show, from which on it is completed
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +46,9 @@ class SceneObserver:
     """Estimates complete scenes from views, one episode at a time.
 
     The first view's objects are completed; in later views their completed clouds are tracked, so that velocities exist
-    and identity lasts. What is hidden keeps its last completed cloud, where it was or with what carries it.
+    and identity lasts. What is hidden keeps its last completed cloud, where it was or with what carries it: a hand, or
+    the drawer that it lies in. Bodies with joints are known by their canonical clouds (:mod:`.furniture`); an object
+    that the first view does not show is taken to stand in their first drawer, until a view shows it.
 
     Args:
         task: of the scenes, by name.
@@ -50,14 +56,15 @@ class SceneObserver:
         robot: gives the links' poses, and their clouds.
         segmenter: finds the objects.
         completer: completes them.
-        clouds: the layout's canonical points (N, 3), of which the links' replace the robot's own: a simulator's.
+        clouds: the layout's canonical points (N, 3), of which the links' replace the robot's own: a simulator's. They
+            are needed where bodies have joints.
         cleaning: of the depth.
         tracking: thresholds.
         table: height of the table in the base frame, metres, which no completed point is below; None where there is
             none.
 
     Raises:
-        SceneError: the robot lacks a link of the layout.
+        SceneError: the robot lacks a link of the layout, or there are joints and no clouds.
     """
 
     def __init__(
@@ -82,6 +89,13 @@ class SceneObserver:
         self._own = {e.name: robot.clouds[robot.layout[e.name].slice] for e in layout if e.driven}
         if clouds is not None:
             self._own = {e.name: clouds[e.slice] for e in layout if e.driven}
+        known = furniture_names(layout)
+        if known and clouds is None:
+            raise SceneError(
+                f"{', '.join(known)} hang on joints; expected the layout's canonical clouds to know them by"
+            )
+        self._canonical = {} if clouds is None else {e.name: clouds[e.slice] for e in layout if not e.driven}
+        self._furniture = Furniture(layout, {n: self._canonical[n] for n in known}, tracking) if known else None
         self.reset()
 
     def reset(self) -> None:
@@ -89,6 +103,7 @@ class SceneObserver:
         self._tracker: Tracker | None = None
         self._completed: dict[str, np.ndarray] = {}
         self._errors: dict[str, float] = {}
+        self._unseen: set[str] = set()
         self._joints: deque[np.ndarray] = deque(maxlen=2)
         self._poses: deque[np.ndarray] = deque(maxlen=3)  # the robot's (L, 4, 4), newest first
 
@@ -121,16 +136,16 @@ class SceneObserver:
         eye = frame.camera.pose[:3, 3]
         if self._tracker is None:
             with _timed(seconds, "complete"):
-                self._tracker = self._complete(partials, eye)
+                self._tracker = self._begin(partials, eye)
         else:
             with _timed(seconds, "track"):
-                self._tracker.update(partials, eye=eye, carried_by=carried, motion=self._motions())
+                self._follow(self._tracker, partials, eye, carried or {})
         scene = self._scene(self._tracker, goal, last_action)
         return Observation(scene, partials, dict(self._errors), seconds)
 
-    @property
-    def _objects(self) -> list[str]:
-        return [e.name for e in self.layout if not e.driven]
+    def _known(self, name: str) -> bool:
+        """Whether an entity is a part of a body with joints."""
+        return self._furniture is not None and name in self._furniture
 
     def _move_robot(self, frame: Frame) -> None:
         if frame.joints is None:
@@ -143,32 +158,65 @@ class SceneObserver:
         self._joints.appendleft(frame.joints)
 
     def _partials(self, frame: Frame, masks: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """Clean points of the objects in sight; in the first view all must be."""
+        """Clean points of what is in sight; in the first view all must be, but for what a body with joints may hide."""
         first, partials = self._tracker is None, {}
-        for name in self._objects:
+        for name in (e.name for e in self.layout if not e.driven):
+            may_hide = self._furniture is not None and self._furniture.hides and not self._known(name)
             if name not in masks:
-                if first:
+                if first and not may_hide:
                     found = ", ".join(masks) or "nothing"
                     raise SceneError(f"{name!r} is not in the first view (found: {found}); expected to see it once")
                 continue
             try:
                 partials[name] = clean(frame.depth, masks[name], frame.camera, self.cleaning)
             except PwmGymError as error:  # hardly a pixel of it is seen
-                if first:
+                if first and not may_hide:
                     raise SceneError(f"{name!r} is hardly seen in the first view: {error}") from error
         return partials
 
-    def _complete(self, partials: Mapping[str, np.ndarray], eye: np.ndarray) -> Tracker:
+    def _begin(self, partials: Mapping[str, np.ndarray], eye: np.ndarray) -> Tracker:
+        """Find the bodies with joints, and complete all other objects."""
+        if self._furniture is not None:
+            self._furniture.find(partials, eye)
         poses = {}
-        for name, partial in partials.items():
-            done = self.completer(partial, eye, self.layout[name].points)
-            points = done.points.astype(np.float64)
-            if self.table is not None:
-                points[:, 2] = np.maximum(points[:, 2], self.table)
-            poses[name] = _upright_frame(points)
-            local = (points - poses[name][:3, 3]) @ poses[name][:3, :3]
-            self._completed[name], self._errors[name] = local.astype(np.float32), done.error
+        for name in (e.name for e in self.layout if not e.driven and not self._known(e.name)):
+            if name in partials:
+                poses[name] = self._complete(name, partials[name], eye)
+            else:
+                assert self._furniture is not None, "nothing else may hide it"
+                poses[name] = self._furniture.inside(self._canonical[name])
+                self._completed[name] = self._canonical[name].astype(np.float32)
+                self._unseen.add(name)
         return Tracker(self._completed, poses, self.tracking)
+
+    def _follow(
+        self, tracker: Tracker, partials: Mapping[str, np.ndarray], eye: np.ndarray, carried: Mapping[str, str]
+    ) -> None:
+        """Take in a later view: joints, then objects, of which some may be seen for the first time."""
+        motions = self._motions()
+        for name in sorted(self._unseen):
+            if len(partials.get(name, ())) >= _SHOWN:
+                pose = self._complete(name, partials[name], eye)
+                tracker.track(name, self._completed[name], pose)
+                self._unseen.discard(name)
+        loose = {n: p for n, p in partials.items() if not self._known(n) and n not in self._unseen}
+        if self._furniture is not None:
+            held_by = {n: self._furniture.around(points.mean(0)) for n, points in tracker.points().items()}
+            carried = {**{n: part for n, part in held_by.items() if part is not None}, **carried}
+            self._furniture.update(partials)
+            motions |= {name: self._furniture.motion(name) for name in self._furniture.moving}
+        tracker.update(loose, eye=eye, carried_by=carried, motion=motions)
+
+    def _complete(self, name: str, partial: np.ndarray, eye: np.ndarray) -> np.ndarray:
+        """Complete an object, and return its pose (4, 4)."""
+        done = self.completer(partial, eye, self.layout[name].points)
+        points = done.points.astype(np.float64)
+        if self.table is not None:
+            points[:, 2] = np.maximum(points[:, 2], self.table)
+        pose = _upright_frame(points)
+        local = (points - pose[:3, 3]) @ pose[:3, :3]
+        self._completed[name], self._errors[name] = local.astype(np.float32), done.error
+        return pose
 
     def _motions(self) -> dict[str, np.ndarray]:
         """Motion (4, 4) of each link since the last view, in the base frame."""
@@ -178,8 +226,17 @@ class SceneObserver:
 
     def _scene(self, tracker: Tracker, goal: np.ndarray, last_action: np.ndarray | None) -> Scene:
         links = iter(np.stack(self._poses).swapaxes(0, 1))  # (L, 3, 4, 4)
-        poses = [next(links) if e.driven else tracker.history(e.name) for e in self.layout]
-        clouds = [self._own[e.name] if e.driven else self._completed[e.name] for e in self.layout]
+        poses, clouds = [], []
+        for e in self.layout:
+            if e.driven:
+                poses.append(next(links))
+                clouds.append(self._own[e.name])
+            elif self._furniture is not None and e.name in self._furniture:
+                poses.append(self._furniture.history(e.name))
+                clouds.append(self._canonical[e.name])
+            else:
+                poses.append(tracker.history(e.name))
+                clouds.append(self._completed[e.name])
         joints = np.stack([self._joints[0], self._joints[0] - self._joints[1]]).astype(np.float32)
         return Scene(
             task=self.task,

@@ -18,7 +18,18 @@ from scipy.spatial import ConvexHull, cKDTree
 from pwm_gym.cameras.camera import check_pose
 from pwm_gym.errors import PwmGymError, look_up
 
-__all__ = ["Registration", "Tracker", "TrackingConfig", "register"]
+__all__ = [
+    "Registration",
+    "Surface",
+    "Tracker",
+    "TrackingConfig",
+    "body_motion",
+    "least_motion",
+    "register",
+    "seen_part",
+    "surface_weights",
+    "turned_back",
+]
 
 _NEIGHBOURS = 9  # points that span a normal: fewer are noisy, more round off edges
 _SLIDE = 0.05  # weight of distances along the surface: edges hold what planes let slide (0.02 to 0.15 do equally well)
@@ -89,7 +100,7 @@ class Tracker:
         self.config = config or TrackingConfig()
         self.registrations = {}
         self._clouds: dict[str, np.ndarray] = {}
-        self._surfaces: dict[str, _Surface] = {}
+        self._surfaces: dict[str, Surface] = {}
         self._history: dict[str, np.ndarray] = {}
         for name, cloud in clouds.items():
             self.track(name, cloud, look_up("pose", name, poses))
@@ -97,7 +108,7 @@ class Tracker:
     def track(self, name: str, cloud: np.ndarray, pose: np.ndarray) -> None:
         """Follow an entity from ``pose`` (4, 4) on; a known one gets a new ``cloud`` (n, 3) and is at rest."""
         points = _checked_points(f"the cloud of {name!r}", cloud)
-        surface = _Surface.of(points)
+        surface = Surface.of(points)
         start = check_pose(f"the pose of {name!r}", pose)
         self._clouds[name], self._surfaces[name], self._history[name] = points, surface, np.repeat(start[None], 3, 0)
 
@@ -202,12 +213,29 @@ def register(
     Raises:
         PwmGymError: an array of a wrong shape, with too few points or not finite.
     """
-    surface = _Surface.of(_checked_points("the canonical cloud", canonical))
+    surface = Surface.of(_checked_points("the canonical cloud", canonical))
     points, start = _checked_points("the view", partial), check_pose("the guess", guess)
     return _fit(surface, surface.seen_from(start, eye), points, start, config or TrackingConfig())
 
 
-class _Surface(NamedTuple):
+def seen_part(points: np.ndarray, eye: np.ndarray) -> np.ndarray:
+    """Those of points (n, 3) that an eye (3,) sees: the hull of the points flipped about it.
+
+    Katz, Tal and Basri, "Direct visibility of point sets", 2007.
+    """
+    return np.asarray(points[_seen_from(points, eye)])
+
+
+def _seen_from(points: np.ndarray, eye: np.ndarray) -> np.ndarray:
+    """Places of the points that are seen."""
+    rays = points - eye
+    distances = np.linalg.norm(rays, axis=1, keepdims=True).clip(1e-9)
+    flipped = rays * (2 * _FLIP * distances.max() / distances - 1)
+    hull = ConvexHull(np.concatenate([flipped, np.zeros((1, 3))]), qhull_options="QJ").vertices
+    return np.asarray(hull[hull < len(points)])
+
+
+class Surface(NamedTuple):
     """A canonical cloud with what registrations ask of it."""
 
     points: np.ndarray
@@ -216,7 +244,7 @@ class _Surface(NamedTuple):
     tree: Any
 
     @classmethod
-    def of(cls, points: np.ndarray) -> _Surface:
+    def of(cls, points: np.ndarray) -> Surface:
         """Surface of a cloud (n, 3), with normals from each point's neighbours; repeated points count once."""
         points = np.unique(points, axis=0)
         if len(points) < _FEWEST:
@@ -227,22 +255,15 @@ class _Surface(NamedTuple):
         _, axes = np.linalg.eigh(around.transpose(0, 2, 1) @ around)
         return cls(points, axes[:, :, 0], float(np.median(distances[:, 1])), tree)
 
-    def seen_from(self, pose: np.ndarray, eye: np.ndarray | None) -> _Surface:
-        """The part that an eye (3,) sees of the cloud at ``pose``: the hull of the points flipped about it.
-
-        Katz, Tal and Basri, "Direct visibility of point sets", 2007.
-        """
+    def seen_from(self, pose: np.ndarray, eye: np.ndarray | None) -> Surface:
+        """The part that an eye (3,) sees of the cloud at ``pose``."""
         if eye is None:
             return self
         place = np.asarray(eye, np.float64)
         if place.shape != (3,) or not np.isfinite(place).all():
             raise PwmGymError(f"the eye is at {eye!r}; expected 3 numbers")
-        rays = self.points - (place - pose[:3, 3]) @ pose[:3, :3]
-        distances = np.linalg.norm(rays, axis=1, keepdims=True).clip(1e-9)
-        flipped = rays * (2 * _FLIP * distances.max() / distances - 1)
-        hull = ConvexHull(np.concatenate([flipped, np.zeros((1, 3))]), qhull_options="QJ").vertices
-        seen = hull[hull < len(self.points)]
-        return _Surface(self.points[seen], self.normals[seen], self.spacing, cKDTree(self.points[seen]))
+        seen = _seen_from(self.points, (place - pose[:3, 3]) @ pose[:3, :3])
+        return Surface(self.points[seen], self.normals[seen], self.spacing, cKDTree(self.points[seen]))
 
     def moved_onto(self, points: np.ndarray, pose: np.ndarray) -> np.ndarray:
         """``pose`` (4, 4), shifted so that the cloud is in the midst of ``points`` (m, 3)."""
@@ -257,7 +278,7 @@ class _Surface(NamedTuple):
 
 
 def _fit(
-    surface: _Surface, seen: _Surface, points: np.ndarray, guess: np.ndarray, config: TrackingConfig
+    surface: Surface, seen: Surface, points: np.ndarray, guess: np.ndarray, config: TrackingConfig
 ) -> Registration:
     """Registration of checked points (m, 3): to the part of a surface that is ``seen``, then to all of it."""
     pose = guess
@@ -266,48 +287,66 @@ def _fit(
     return _judge(surface, points, pose, config.gate)
 
 
-def _approach(surface: _Surface, points: np.ndarray, guess: np.ndarray, config: TrackingConfig) -> np.ndarray:
+def _approach(surface: Surface, points: np.ndarray, guess: np.ndarray, config: TrackingConfig) -> np.ndarray:
     """Pose (4, 4) of a surface after Gauss-Newton steps, each with its own nearest points."""
     pose = guess.copy()
     for _ in range(config.iterations):
         local = (points - pose[:3, 3]) @ pose[:3, :3]
         distances, way, normals = surface.match(local)
         scale = min(max(_TRIM * float(np.median(distances)), config.gate), config.reach)
-        step = _step(local, way, normals, _weights(distances, way, normals, scale, surface.spacing))
-        pose[:3, :3] = _turned_back(pose[:3, :3], step[:3])
+        step = _step(local, way, normals, surface_weights(distances, way, normals, scale, surface.spacing))
+        pose[:3, :3] = turned_back(pose[:3, :3], step[:3])
         pose[:3, 3] -= pose[:3, :3] @ step[3:]
         if np.abs(step).max() < _SETTLED:
             break
     return pose
 
 
-def _weights(distances: np.ndarray, way: np.ndarray, normals: np.ndarray, scale: float, spacing: float) -> np.ndarray:
+def surface_weights(
+    distances: np.ndarray, way: np.ndarray, normals: np.ndarray, scale: float, spacing: float
+) -> np.ndarray:
     """Tukey's weights (m,) of distances to the surface; 0 where no canonical point is near."""
     near = distances < scale + 1.5 * spacing
     return np.where(near, (1 - ((way * normals).sum(1) / scale) ** 2).clip(0) ** 2, 0.0)
 
 
 def _step(points: np.ndarray, way: np.ndarray, normals: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Small motion (6,), rotation vector and translation, that takes points (m, 3) their ``way`` to the surface.
+    """Small motion (6,), rotation vector and translation, that takes points (m, 3) their ``way`` to the surface."""
+    return least_motion(body_motion(points), way, normals, weights)
 
-    Gauss-Newton: least squares of what is left along the normals and, weakly, along the surface.
-    """
-    motion = np.empty((len(points), 3, 6))  # what the six components do to each point
+
+def body_motion(points: np.ndarray) -> np.ndarray:
+    """What the components of a small rotation vector and translation do to points (m, 3): (m, 3, 6)."""
+    motion = np.empty((len(points), 3, 6))
     motion[:, :, :3] = (points @ _TURNS).reshape(-1, 3, 3)
     motion[:, :, 3:] = np.eye(3)
+    return motion
+
+
+def least_motion(motion: np.ndarray, way: np.ndarray, normals: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Components (k,) of a small motion that takes points (m, 3) their ``way`` to the surface.
+
+    Gauss-Newton: least squares of what is left along the normals and, weakly, along the surface.
+
+    Args:
+        motion: what the components do to the points (m, 3, k).
+        way: to the nearest points of the surface (m, 3).
+        normals: of the surface there (m, 3).
+        weights: (m,).
+    """
     metric = normals[:, :, None] * normals[:, None, :] + _SLIDE * np.eye(3)
-    weighted = (weights[:, None, None] * metric @ motion).reshape(-1, 6)
-    gram = weighted.T @ motion.reshape(-1, 6) + _DAMPING * np.eye(6)
-    return np.linalg.solve(gram, weighted.T @ way.ravel())
+    weighted = (weights[:, None, None] * metric @ motion).reshape(len(way) * 3, -1)
+    gram = weighted.T @ motion.reshape(len(way) * 3, -1) + _DAMPING * np.eye(motion.shape[-1])
+    return np.asarray(np.linalg.solve(gram, weighted.T @ way.ravel()))
 
 
-def _turned_back(rotation: np.ndarray, vector: np.ndarray) -> np.ndarray:
+def turned_back(rotation: np.ndarray, vector: np.ndarray) -> np.ndarray:
     """``rotation`` (3, 3) after the inverse of a small one, given by its vector (3,); Cayley's form of it."""
     half = 0.5 * (vector @ _TURNS).reshape(3, 3)
     return rotation @ np.linalg.solve(np.eye(3) - half, np.eye(3) + half)
 
 
-def _judge(surface: _Surface, points: np.ndarray, pose: np.ndarray, gate: float) -> Registration:
+def _judge(surface: Surface, points: np.ndarray, pose: np.ndarray, gate: float) -> Registration:
     """How well a pose explains points (m, 3)."""
     distances, way, normals = surface.match((points - pose[:3, 3]) @ pose[:3, :3])
     gaps = np.abs((way * normals).sum(1))

@@ -55,7 +55,11 @@ def drawer_scene(tool, opening, way):
         trimesh.util.concatenate([box(part.size, part.centre) for part in parts]) for parts in (CABINET, DRAWER)
     )
     place = np.array(DRAWER_JOINT.origin[:3]) + [0.14, 0.0, 0.0]
-    points = {**gripper(tool, opening), "cabinet": cloud(cabinet, (0, 0, 0), 4000), "drawer": cloud(drawer, place, 4000)}
+    points = {
+        **gripper(tool, opening),
+        "cabinet": cloud(cabinet, (0, 0, 0), 4000),
+        "drawer": cloud(drawer, place, 4000),
+    }
     blocking = drawers.fingers_blocking(drawers.CABINET_DRAWER, lambda points, info: torch.tensor([way]))
     return float(blocking(points, {}))
 

@@ -11,7 +11,8 @@ STEP = 0.001  # metres
 
 
 @pytest.mark.parametrize(
-    ("clearance", "within", "slope"), [(0.02, 0.005, 0.04), (0.08, 0.005, 0.04), (0.065, 0.002, 0.008), (0.05, 0.015, 0.04)]
+    ("clearance", "within", "slope"),
+    [(0.02, 0.005, 0.04), (0.08, 0.005, 0.04), (0.065, 0.002, 0.008), (0.05, 0.015, 0.04)],
 )
 def test_a_way_from_above_has_no_end_but_the_place(clearance, within, slope):
     beside, height = torch.meshgrid(torch.arange(0.0, 0.3, 0.0017), torch.arange(-0.02, 0.3, 0.0017), indexing="ij")

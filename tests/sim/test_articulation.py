@@ -5,13 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from kitchen import CABINET_AT, DRAWER_AT, MUG_AT, pulled, put_in, scene_of
 from scipy.spatial.transform import Rotation
 
 from pwm_gym.errors import SceneError
 from pwm_gym.robots.joints import JointTree
 from pwm_gym.scene import Scene, sample_clouds
 from pwm_gym.scene.se3 import matrix_from_pose7
-from pwm_gym.sim.cabinet import CABINET, DRAWER, PLACE, STROKE
+from pwm_gym.sim.cabinet import CABINET, DRAWER, STROKE
 from pwm_gym.sim.coffee_machine import LID, LID_JOINT, MACHINE, OPEN_ANGLE, POD
 from pwm_gym.sim.maniskill.poses import compose
 from pwm_gym.sim.mugs import MUGS, get_mug
@@ -19,33 +20,7 @@ from pwm_gym.sim.shapes import Box
 from pwm_gym.tasks import get_task
 
 TASK, COFFEE = get_task("MugCleanup"), get_task("Coffee")
-CABINET_AT, DRAWER_AT, MUG_AT = (TASK.layout.index(name) for name in ("cabinet", "drawer", "mug"))
 REST = np.array([0, 0, 0, 0, 0, 0, 1.0], np.float32)
-
-
-def scene_of(simulator):
-    """The present scene, at rest."""
-    poses = np.stack([simulator.poses()] * 3)
-    clouds = np.zeros((TASK.layout.points, 3), np.float32)
-    return Scene(TASK.name, TASK.layout, clouds, poses, simulator.goal(), simulator.joints(), assets=simulator.assets())
-
-
-def pulled(scene, opening, speed=0.0):
-    """The scene with its drawer open by ``opening`` metres and opening by ``speed`` metres a step."""
-    poses = scene.poses.copy()
-    for k in range(3):
-        slid = np.r_[*TASK.layout["drawer"].joint.origin[:3], 1, 0, 0, 0]
-        slid[0] += opening - k * speed
-        poses[k, DRAWER_AT] = compose(poses[k, CABINET_AT], slid)
-    return replace(scene, poses=poses)
-
-
-def put_in(scene):
-    """The scene with its mug standing in the drawer."""
-    poses, mug = scene.poses.copy(), get_mug(scene.assets[MUG_AT])
-    place = np.r_[PLACE[:2], PLACE[2] + 0.5 * mug.height, 1, 0, 0, 0]
-    poses[:, MUG_AT] = compose(poses[0, DRAWER_AT], place)
-    return replace(scene, poses=poses)
 
 
 def opening(simulator):
