@@ -17,7 +17,10 @@ __all__ = ["Plan"]
 
 @dataclass(frozen=True)
 class Plan:
-    """Plan in the model, execute in the simulator: closed loop, in chunks or open loop."""
+    """Plan in the model, execute in the simulator: closed loop, in chunks or open loop.
+
+    With ``--save``, a run that was killed goes on where it was.
+    """
 
     task: str = "PickCube"
     """Registered task."""
@@ -60,7 +63,7 @@ class Plan:
     clear_of: tuple[str, ...] = ()
     """Entities that the end effector is not to touch."""
     save: Path | None = None
-    """Folder for a record of each run, which ``pwm-gym view`` draws."""
+    """Folder for a record of each run, which ``pwm-gym view`` draws; runs that are there are not planned again."""
     json: Path | None = None
     """Where to write the results."""
     threads: int = 2
@@ -75,7 +78,8 @@ class Plan:
         from pwm_gym.dynamics import load_checkpoint, resolve
         from pwm_gym.envs import CameraConfig
         from pwm_gym.errors import unknown_name
-        from pwm_gym.evaluation import planning_table, run_episodes, save_runs, write_results
+        from pwm_gym.evaluation import planning_table, run_episodes, write_results
+        from pwm_gym.experiments.members import digest
         from pwm_gym.planning import Agent
         from pwm_gym.process import prepare_process
         from pwm_gym.seeds import RANGES, seed_range
@@ -90,7 +94,8 @@ class Plan:
         planner = task.planner if self.planner is None else self.planner
         config = self._config(planner)
         prepare_process(self.threads)
-        checkpoint = load_checkpoint(resolve(self.checkpoint, self.task))
+        path = resolve(self.checkpoint, self.task)
+        checkpoint = load_checkpoint(path)
         checkpoint.check_joints(task.layout)
         seeds = seed_range(self.seeds, self.episodes, self.offset)
         cost = None if self.cost is None else find_cost(self.cost)
@@ -100,15 +105,15 @@ class Plan:
         twin = f"pwm/{self.task}Sim-v0"
         settings: dict[str, Any] = {"observation": self.observation, "camera": camera, "objects": self.objects or None}
         most = task.max_episode_steps if self.max_steps is None else self.max_steps
+        names = ("chunk", "seeds", "objects", "observation", "completer", "sensor", "cost")
+        facts = {"planner": planner, "settings": asdict(config), **{name: getattr(self, name) for name in names}}
+        limits = {name: getattr(self, name) for name in ("caution", "workspace", "clear_of")}
+        recipe = {"task": self.task, "weights": digest(path), "max_steps": most, **limits, **facts}
         with gym.make(twin, max_episode_steps=most, **settings) as env:
-            runs = run_episodes(env, agent, seeds, most, self.chunk)
+            runs = run_episodes(env, agent, seeds, most, self.chunk, folder=self.save, recipe=recipe)
         table = planning_table(runs)
         _print(self.task, self.chunk, table)
-        if self.save is not None:
-            save_runs(runs, self.save)
         if self.json is not None:
-            names = ("chunk", "seeds", "objects", "observation", "completer", "sensor", "cost")
-            facts = {"planner": planner, "settings": asdict(config), **{name: getattr(self, name) for name in names}}
             write_results(self.json, {**facts, **table})
 
     def _config(self, planner: str) -> SamplingConfig:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +13,11 @@ import numpy as np
 from tqdm import tqdm
 
 from pwm_gym.errors import PwmGymError
+from pwm_gym.files import write_atomically
 from pwm_gym.planning import Agent, Run, execute
 from pwm_gym.scene import Scene
+
+_RECIPE = "planned-by.json"
 
 __all__ = ["load_runs", "planning_table", "run_episodes", "save_runs", "wilson"]
 
@@ -26,16 +30,64 @@ def run_episodes(
     chunk: int = 1,
     observe: Callable[[Scene], Scene] | None = None,
     progress: bool = True,
+    folder: Path | None = None,
+    recipe: Mapping[str, Any] | None = None,
 ) -> list[Run]:
-    """Runs of ``seeds``; those that succeed at reset are left out. Arguments as of :func:`pwm_gym.planning.execute`."""
+    """Runs of ``seeds``, as of :func:`pwm_gym.planning.execute`; those that succeed at reset are left out.
+
+    Args:
+        env: a twin or model environment.
+        agent: plans.
+        seeds: of the episodes.
+        max_steps: actions of each at most.
+        chunk: actions between two looks.
+        observe: what the agent sees of a scene.
+        progress: whether to show a progress bar.
+        folder: where each run's record is written as soon as it is over; records that are there are not planned again.
+        recipe: all that decides a run, of JSON's types; a folder belongs to one.
+
+    Raises:
+        PwmGymError: the folder's runs were planned by another recipe.
+    """
     runs = []
+    if folder is not None:
+        _claim(folder, dict(recipe or {}))
     with tqdm(seeds, unit="episode", disable=not progress, desc="plan") as bar:
         for seed in bar:
-            run = execute(env, agent, seed, max_steps, chunk, observe)
+            run = None if folder is None else _recorded(folder, seed)
+            if run is None:
+                run = execute(env, agent, seed, max_steps, chunk, observe)
+                if folder is not None:
+                    save_runs([run], folder)
             if not run.at_reset:
                 runs.append(run)
             bar.set_postfix(success=f"{sum(r.success for r in runs)}/{len(runs)}")
     return runs
+
+
+def _claim(folder: Path, recipe: dict[str, Any]) -> None:
+    """Note by what a folder's runs are planned, or compare with what is noted there."""
+    path, told = folder / _RECIPE, json.loads(json.dumps(recipe))
+    if not path.exists():
+        write_atomically(path, json.dumps(told, indent=1).encode())
+        return
+    try:
+        found = json.loads(path.read_text())
+    except ValueError as error:
+        raise PwmGymError(f"{path} is damaged: {error}; expected what its runs were planned by") from error
+    if not isinstance(found, dict):
+        raise PwmGymError(f"{path} holds {found!r}; expected what its runs were planned by")
+    if other := sorted(key for key in {*found, *told} if found.get(key) != told.get(key)):
+        was, now = ({key: each.get(key) for key in other} for each in (found, told))
+        raise PwmGymError(f"{folder} holds runs that were planned with {was}; expected {now}, or another folder")
+
+
+def _recorded(folder: Path, seed: int) -> Run | None:
+    """The record of a seed; None where there is none, or a damaged one."""
+    try:
+        return load_runs([seed], folder)[0]
+    except PwmGymError:
+        return None
 
 
 def save_runs(runs: Sequence[Run], folder: Path) -> None:

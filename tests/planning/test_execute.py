@@ -120,6 +120,27 @@ def test_episodes_that_succeed_at_reset_are_left_out(counter):
     assert table["mean_steps_of_successes"] == 3.0
 
 
+def test_a_killed_run_goes_on_where_it_was_and_a_folder_belongs_to_one_recipe(counter, tmp_path):
+    def plan(seeds, recipe):
+        agent = Recorder()
+        runs = run_episodes(counter, agent, seeds, 10, progress=False, folder=tmp_path, recipe=recipe)
+        return [(r.seed, r.success, r.steps) for r in runs], len(agent.scenes)
+
+    first, looks = plan([0, 2], {"chunk": 1})
+    assert looks > 0 and first == [(2, True, 2)]
+    again, looks = plan([0, 2], {"chunk": 1})
+    assert looks == 0 and again == first  # the one that succeeds at reset is not planned again, either
+    more, looks = plan([0, 2, 4], {"chunk": 1})
+    assert looks == 4 and more == [*first, (4, True, 4)]
+    (tmp_path / "seed-2.npz").write_bytes(b"half a rec")
+    assert plan([0, 2, 4], {"chunk": 1}) == (more, 2)
+    with pytest.raises(PwmGymError, match=r"planned with {'chunk': 1}; expected {'chunk': 0}, or another folder"):
+        plan([2], {"chunk": 0})
+    (tmp_path / "planned-by.json").write_text("{")
+    with pytest.raises(PwmGymError, match="planned-by.json is damaged"):
+        plan([2], {"chunk": 1})
+
+
 def test_successes_are_told_by_object_where_episodes_have_different_ones(counter):
     run = execute(counter, Recorder(), seed=9, max_steps=2)
     count = len(run.start.layout)
