@@ -7,7 +7,18 @@ from typing import Any
 from formatting import SUCCESS_HEAD, grid, number, paragraph, read, source, success
 
 _TABLES = ("rollout", "baselines", "head", "register", "horizon", "data", "arm")
-_LATER = ("rollout", "planning", "planning-paper", "baselines", "register", "register_points", "horizon", "data")
+_LATER = (
+    "rollout",
+    "planning",
+    "planning_paper",
+    "baselines",
+    "register",
+    "register_points",
+    "horizon",
+    "horizon_points",
+    "data",
+    "data_points",
+)
 _LONG_TASKS = {"MugCleanup": "mug_cleanup", "Coffee": "coffee", "CoffeePreparation": "coffee_preparation"}
 _TASKS = {"StackCube": "stack_cube", "PickYCB": "pick_ycb"}
 
