@@ -49,3 +49,25 @@ def test_a_drawer_is_hooked_open_whatever_points_of_it_are_read(checkpoint, star
             action = hooked(drawer, PANDA.tool(poses))
             state = model.step(state, torch.as_tensor(action, dtype=torch.float32)[None])
     assert openings[0] < 0.002 and max(openings) > 0.12
+
+
+@pytest.mark.parametrize("scene", [0, 1])
+def test_a_hand_comes_down_to_a_pod_in_a_drawer(checkpoint, scene):
+    state = checkpoint.model.prepare(batch_state([checkpoint.bank(TASK.name).scene(scene)]))
+    pod = TASK.layout.index("pod")
+    for phase, steps in (("open", STEPS), ("up", 12), ("over", 25), ("down", 20)):
+        for _ in range(steps):
+            poses = pose7_from_matrix(state.poses()[0]).numpy()
+            drawer, tool = OpenDrawer(poses, poses[CABINET], poses[DRAWER], SPEED), PANDA.tool(poses)
+            side = np.cross([0.0, 0.0, 1.0], drawer.front)
+            if phase == "open":
+                action = hooked(drawer, tool)
+            else:
+                target = tool[:3] + [0.0, 0.0, 0.05] if phase == "up" else poses[pod, :3].copy()
+                target[2] += 0.10 if phase == "over" else 0.0
+                action = servo(PANDA, tool, target, side, SPEED, gripper=1.0)
+            with torch.no_grad():
+                state = checkpoint.model.step(state, torch.as_tensor(action, dtype=torch.float32)[None])
+    poses = pose7_from_matrix(state.poses()[0]).numpy()
+    np.testing.assert_allclose(PANDA.tool(poses)[:3], poses[pod, :3], atol=0.012)
+    assert poses[pod, 2] < poses[CABINET, 2]  # still in the drawer
