@@ -52,7 +52,12 @@ _PLANNED = {
     "CoffeePreparation, never trained on": "plan_coffee_preparation",
 }
 _MIXED = ("PickYCB", "PickYCB, unseen objects")  # some of whose objects nothing can lift
-_PLAN_MODES = ("closed loop", "open loop", "completed clouds, closed loop")
+_PLAN_MODES = {
+    "closed": "closed loop",
+    "open": "open loop",
+    "completed": "completed clouds, closed loop",
+    "completed_open": "completed clouds, open loop",
+}
 _INTRO = """# Results
 
 Written by `python docs/generate_results.py` from the JSON files in `benchmarks/results`, each of which holds its
@@ -231,8 +236,8 @@ def _planned() -> str:
     """Success of the shipped checkpoint in each task, by mode."""
     rows, sources = [], []
     for task, stem in _PLANNED.items():
-        for mode in _PLAN_MODES:
-            name = f"{stem}_{mode.split()[0]}"
+        for suffix, mode in _PLAN_MODES.items():
+            name = f"{stem}_{suffix}"
             result = read(name)
             if result is not None:
                 rows.append([task, mode, *success(result)])

@@ -17,6 +17,7 @@ from pwm_gym.commands.evaluate import Evaluate
 from pwm_gym.commands.plan import Plan
 from pwm_gym.commands.scenes import Scenes
 from pwm_gym.commands.train import Train
+from pwm_gym.commands.train_agent import TrainAgent
 from pwm_gym.commands.view import View
 from pwm_gym.errors import PwmGymError
 
@@ -27,6 +28,7 @@ Command = (
     | Annotated[Envs, tyro.conf.subcommand("envs")]
     | Annotated[Collect, tyro.conf.subcommand("collect")]
     | Annotated[Train, tyro.conf.subcommand("train")]
+    | Annotated[TrainAgent, tyro.conf.subcommand("train-agent")]
     | Annotated[Complete, tyro.conf.subcommand("complete")]
     | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
     | Annotated[Plan, tyro.conf.subcommand("plan")]

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from pwm_gym.planning import SamplingConfig
     from pwm_gym.tasks import Task
 
-__all__ = ["Plan"]
+__all__ = ["Plan", "print_success"]
 
 
 @dataclass(frozen=True)
@@ -112,7 +112,8 @@ class Plan:
         with gym.make(twin, max_episode_steps=most, **settings) as env:
             runs = run_episodes(env, agent, seeds, most, self.chunk, folder=self.save, recipe=recipe)
         table = planning_table(runs)
-        _print(self.task, self.chunk, table)
+        mode = {0: "open loop", 1: "closed loop"}.get(self.chunk, f"chunks of {self.chunk}")
+        print_success(f"{self.task}, {mode} in the simulator", table)
         if self.json is not None:
             write_results(self.json, {**facts, **table})
 
@@ -139,11 +140,11 @@ class Plan:
         return penalties
 
 
-def _print(task: str, chunk: int, table: dict[str, Any]) -> None:
+def print_success(title: str, table: dict[str, Any]) -> None:
+    """Print a table of :func:`pwm_gym.evaluation.planning_table`."""
     low, high = table["interval"]
     latency, steps = table["plan_seconds"], table["mean_steps_of_successes"]
-    mode = {0: "open loop", 1: "closed loop"}.get(chunk, f"chunks of {chunk}")
-    print(f"\n{task}, {mode} in the simulator")
+    print(f"\n{title}")
     print(f"  success          {table['successes']}/{table['episodes']}  (95 % interval {low:.0%} to {high:.0%})")
     print(f"  steps to success {steps:.1f} on average" if steps else "  steps to success -")
     print(f"  one action       {latency['median']:.2f} s median, {latency['p95']:.2f} s 95th percentile")
