@@ -161,6 +161,7 @@ def page() -> str:
         _long(),
         _calibration(),
         _planned(),
+        _cloned(),
         _distractors(),
         *task_tables(),
         _EARLIER,
@@ -252,6 +253,26 @@ def _planned() -> str:
     )
     told = "\n".join(sources)
     return f"## Planning\n\n{told}\n{about}\n{grid(['task', 'mode', *SUCCESS_HEAD[1:]], rows)}"
+
+
+def _cloned() -> str:
+    """Success of policies cloned from the same demonstrations."""
+    rows, sources = [], []
+    for task in ("PickCube", "StackCube", "PickYCB", "MugCleanup", "Coffee", "CoffeePreparation"):
+        name = f"cloned_{_PLANNED[task].removeprefix('plan_')}"
+        result = read(name)
+        if result is not None:
+            told = f"{task}, {result['objects']} objects" if result["objects"] else task
+            rows.append([told, *success(result)])
+            sources.append(source(name, result))
+    if not rows:
+        return ""
+    about = paragraph(
+        "A network from entity poses to actions, trained on the data set's demonstrations up to where they turn random",
+        "(`pwm-gym train-agent`), in the planners' test episodes; it sees every step.",
+    )
+    told = "\n".join(sources)
+    return f"## Behaviour cloning\n\n{told}\n{about}\n{grid(['task', *SUCCESS_HEAD[1:]], rows)}"
 
 
 def _distractors() -> str:
