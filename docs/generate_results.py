@@ -113,9 +113,9 @@ pwm-gym scenes runs/kitchen4/checkpoint --task MugCleanup  # and Coffee: demonst
 pwm-gym scenes runs/kitchen4/checkpoint --task CoffeePreparation
 ```
 
-After that training its configuration got `hidden_gaps` of 1 and 7 cm, without a change of its weights: a loose object that
-is near the robot and not touched does not change how the arm moves. Before, a pod in a drawer stopped the hand that came
-down to it, where the simulator's hand goes on.
+After that training its configuration got `hidden_gaps` of 1 and 7 cm, without a change of its weights: a loose object
+that is near the robot and not touched does not change how the arm moves. Before, a pod in a drawer stopped the hand that
+came down to it, where the simulator's hand goes on.
 
 The rollouts of the three long tasks, and the tables of `paper-small` and of baselines on PickYCB and of planning on
 StackCube, were measured with data sets that were collected anew: the same seeds, and fewer training episodes.
@@ -258,8 +258,8 @@ def _planned() -> str:
 def _cloned() -> str:
     """Success of policies cloned from the same demonstrations."""
     rows, sources = [], []
-    for task in ("PickCube", "StackCube", "PickYCB", "MugCleanup", "Coffee", "CoffeePreparation"):
-        name = f"cloned_{_PLANNED[task].removeprefix('plan_')}"
+    for task, stem in _TASKS.items():
+        name = stem.replace("evaluate", "cloned")
         result = read(name)
         if result is not None:
             told = f"{task}, {result['objects']} objects" if result["objects"] else task
