@@ -114,8 +114,8 @@ pwm-gym scenes runs/kitchen4/checkpoint --task CoffeePreparation
 ```
 
 After that training its configuration got `hidden_gaps` of 1 and 7 cm, without a change of its weights: a loose object
-that is near the robot and not touched does not change how the arm moves. Before, a pod in a drawer stopped the hand that
-came down to it, where the simulator's hand goes on.
+that is near the robot and not touched does not change how the arm moves. Before, a pod in a drawer stopped the hand
+that came down to it, where the simulator's hand goes on.
 
 The rollouts of the three long tasks, and the tables of `paper-small` and of baselines on PickYCB and of planning on
 StackCube, were measured with data sets that were collected anew: the same seeds, and fewer training episodes.

@@ -68,7 +68,7 @@ def test_episodes_are_whole(data_folder):
 
 
 def assert_same_shards(whole, part, count):
-    """A data set's shards of training, ``count`` of them, hold what a larger one's of the same names do, bit for bit."""
+    """A data set's ``count`` shards of training hold what a larger one's of the same names do, bit for bit."""
     paths = sorted(part.glob("train-*.npz"))
     assert len(paths) == count
     for path in paths:
