@@ -215,7 +215,7 @@ def test_plan_writes_its_table(tmp_path, capsys):
 def test_a_saved_run_is_drawn(tmp_path, capsys):
     args = "plan --episodes 1 --max-steps 3 --threads 1 --planner icem --samples 8 --horizon 2 --chunk 2 --caution 0.1"
     main([*args.split(), "--clear-of", "cube", "--save", str(tmp_path / "runs")])
-    (saved,) = (tmp_path / "runs").iterdir()
+    (saved,) = (tmp_path / "runs").glob("*.npz")
     run = Run.load(saved)
     assert run.steps == 3 and run.chunk == 2 and run.settings["planner"] == "CEM" and "clear" in run.terms
     for extra in ([], ["--rollout"]):
@@ -224,6 +224,14 @@ def test_a_saved_run_is_drawn(tmp_path, capsys):
     main(["view", str(saved), "--out", str(tmp_path / "view"), "--strip"])
     assert (tmp_path / "view" / f"{saved.stem}-strip.png").exists()
     assert "failure after 3 steps; the model looks every 2 steps" in capsys.readouterr().out
+    written = saved.stat().st_mtime_ns
+    pictures = ["--pictures", str(tmp_path / "view"), "--json", str(tmp_path / "again.json")]
+    main([*args.split(), "--clear-of", "cube", "--save", str(tmp_path / "runs"), *pictures])
+    assert saved.stat().st_mtime_ns == written  # what is there is not planned again
+    picture = json.loads((tmp_path / "again.json").read_text())["picture"]
+    assert picture == "failures/pickcube-chunks-of-2.png" and (tmp_path / "view" / picture).exists()
+    with pytest.raises(SystemExit, match="holds runs that were planned with {'caution': 0.1.*expected {'caution': 0.0"):
+        main([*args.replace("0.1", "0.0").split(), "--clear-of", "cube", "--save", str(tmp_path / "runs")])
 
 
 def test_a_workspace_that_is_no_box_is_a_clear_error():

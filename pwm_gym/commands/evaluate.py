@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from pwm_gym.commands.failures import draw_failures
 from pwm_gym.commands.folders import data_folder
 from pwm_gym.commands.numbers import check_least
 
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from pwm_gym.data import Dataset, Episode
     from pwm_gym.dynamics import WorldModel
     from pwm_gym.perception import RenderedObserver
-    from pwm_gym.planning import Run
     from pwm_gym.scene import RigidState, Scene
     from pwm_gym.tasks import Task
 
@@ -278,7 +277,7 @@ class Evaluate:
         from pwm_gym.process import prepare_process
 
         prepare_process(self.threads)
-        draw = None if self.pictures is None else partial(_draw_failures, self.pictures)
+        draw = None if self.pictures is None else partial(draw_failures, self.pictures)
         data = data_folder(self.task, self.data)
         chosen = PLANNING_TABLES[name]
         table = run_planning_table(
@@ -321,24 +320,6 @@ class Evaluate:
             f"  planning succeeds in {planning['successes']}, distractors pushed by {planning['distractors_pushed_mm']}"
         )
         return table
-
-
-def _draw_failures(pictures: Path, row: str, mode: str, runs: Sequence[Run]) -> str:
-    """One sheet of failed runs; returns its path in the folder of pictures."""
-    from pwm_gym.commands.view import twin_record
-    from pwm_gym.viewer import draw_overlays
-
-    records = []
-    for run in runs:
-        record = twin_record(run, "")
-        told = f"seed {run.seed}: {run.steps} steps, clouds {1e3 * record.error[-1]:.0f} mm apart at the end"
-        records.append(replace(record, subtitle=told))
-    name = re.sub(r"[^a-z0-9]+", "-", f"{row} {mode}".lower())
-    path = Path("failures") / f"{name}.png"
-    (pictures / path).parent.mkdir(parents=True, exist_ok=True)
-    sheet = draw_overlays(records, f"{row}, {mode}: failed episodes, the world model over the simulator")
-    sheet.save(pictures / path, optimize=True)
-    return str(path)
 
 
 def _completed_starts(task: Task, dataset: Dataset, completer: str, sensor: str) -> dict[str, RigidState]:

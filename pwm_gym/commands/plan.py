@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from pwm_gym.commands.failures import draw_failures
 from pwm_gym.commands.numbers import check_least
 
 if TYPE_CHECKING:
@@ -64,6 +65,8 @@ class Plan:
     """Entities that the end effector is not to touch."""
     save: Path | None = None
     """Folder for a record of each run, which ``pwm-gym view`` draws; runs that are there are not planned again."""
+    pictures: Path | None = None
+    """Folder for a picture of the failed episodes, by the stage that they ended in."""
     json: Path | None = None
     """Where to write the results."""
     threads: int = 2
@@ -114,6 +117,10 @@ class Plan:
         table = planning_table(runs)
         mode = {0: "open loop", 1: "closed loop"}.get(self.chunk, f"chunks of {self.chunk}")
         print_success(f"{self.task}, {mode} in the simulator", table)
+        failed = [run for run in runs if not run.success]
+        if self.pictures is not None and failed:
+            table["picture"] = draw_failures(self.pictures, self.task, mode, failed)
+            print(f"  pictures         {self.pictures / table['picture']}")
         if self.json is not None:
             write_results(self.json, {**facts, **table})
 

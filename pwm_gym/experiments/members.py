@@ -241,8 +241,9 @@ def _planned(
 
 
 def digest(checkpoint: Path) -> str:
-    """Hash of a checkpoint's weights."""
-    return hashlib.sha256((checkpoint / "model.safetensors").read_bytes()).hexdigest()
+    """Hash of a checkpoint's weights and of its description."""
+    parts = [(checkpoint / name).read_bytes() for name in ("model.safetensors", "config.json")]
+    return hashlib.sha256(b"".join(parts)).hexdigest()
 
 
 @lru_cache(maxsize=1)  # the modes of a member follow each other

@@ -8,7 +8,7 @@ import pytest
 import torch
 from PIL import Image
 
-from pwm_gym.commands.evaluate import _draw_failures
+from pwm_gym.commands.failures import draw_failures
 from pwm_gym.data.partial import PARTIAL_POINTS, PartialView
 from pwm_gym.dynamics import rollout
 from pwm_gym.envs import CameraConfig
@@ -54,7 +54,7 @@ def test_a_table_tells_every_mode_and_keeps_what_is_there(quick, data_folder, tm
     with pytest.raises(UnknownNameError, match="unknown mode 'open'"):
         run_planning_table(TABLE, data_folder, tmp_path, modes=["open"])
     json.dumps(first)
-    drawn = run_planning_table(TABLE, data_folder, tmp_path, draw=partial(_draw_failures, tmp_path / "pictures"))
+    drawn = run_planning_table(TABLE, data_folder, tmp_path, draw=partial(draw_failures, tmp_path / "pictures"))
     names = [mode["picture"] for mode in drawn["rows"][0]["modes"].values()]
     assert names == ["failures/linear-closed-loop.png", "failures/linear-open-loop.png"]
     for name in names:
