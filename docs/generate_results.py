@@ -117,8 +117,9 @@ After that training its configuration got `hidden_gaps` of 1 and 7 cm, without a
 that is near the robot and not touched does not change how the arm moves. Before, a pod in a drawer stopped the hand
 that came down to it, where the simulator's hand goes on.
 
-The rollouts of the three long tasks, and the tables of `paper-small` and of baselines on PickYCB and of planning on
-StackCube, were measured with data sets that were collected anew: the same seeds, and fewer training episodes.
+The rollouts of the three long tasks, the tables of `paper-small` and of baselines on PickYCB, of planning on StackCube,
+and behaviour cloning were measured with data sets that were collected anew: the same seeds, and fewer training
+episodes.
 
 ```
 pwm-gym collect --task PickYCB --objects seen --episodes 360 --held-out 40 --practice 0.6
@@ -245,14 +246,11 @@ def _planned() -> str:
                 if task in _MIXED and result["objects"]:
                     rows.append([f"{task}, those alone that the expert lifts", mode, *_liftable(result)])
                 sources.append(source(name, result))
-    if not rows:
-        return ""
     about = paragraph(
         "MPPI with the default settings, executed in the simulator, at most as many steps as the task allows. In",
         "closed loop the planner looks at every step, in open loop at the first scene alone.",
     )
-    told = "\n".join(sources)
-    return f"## Planning\n\n{told}\n{about}\n{grid(['task', 'mode', *SUCCESS_HEAD[1:]], rows)}"
+    return _successes("Planning", about, ["task", "mode"], rows, sources)
 
 
 def _cloned() -> str:
@@ -265,14 +263,17 @@ def _cloned() -> str:
             told = f"{task}, {result['objects']} objects" if result["objects"] else task
             rows.append([told, *success(result)])
             sources.append(source(name, result))
-    if not rows:
-        return ""
     about = paragraph(
         "A network from entity poses to actions, trained on the data set's demonstrations up to where they turn random",
         "(`pwm-gym train-agent`), in the planners' test episodes; it sees every step.",
     )
+    return _successes("Behaviour cloning", about, ["task"], rows, sources)
+
+
+def _successes(title: str, about: str, head: list[str], rows: list[list[str]], sources: list[str]) -> str:
+    """A section of successes, where there are any."""
     told = "\n".join(sources)
-    return f"## Behaviour cloning\n\n{told}\n{about}\n{grid(['task', *SUCCESS_HEAD[1:]], rows)}"
+    return f"## {title}\n\n{told}\n{about}\n{grid([*head, *SUCCESS_HEAD[1:]], rows)}" if rows else ""
 
 
 def _distractors() -> str:

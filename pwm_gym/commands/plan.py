@@ -82,7 +82,7 @@ class Plan:
         from pwm_gym.envs import CameraConfig
         from pwm_gym.errors import unknown_name
         from pwm_gym.evaluation import planning_table, run_episodes, write_results
-        from pwm_gym.experiments.members import digest
+        from pwm_gym.learning import digest
         from pwm_gym.planning import Agent
         from pwm_gym.process import prepare_process
         from pwm_gym.seeds import RANGES, seed_range
@@ -111,7 +111,7 @@ class Plan:
         names = ("chunk", "seeds", "objects", "observation", "completer", "sensor", "cost")
         facts = {"planner": planner, "settings": asdict(config), **{name: getattr(self, name) for name in names}}
         limits = {name: getattr(self, name) for name in ("caution", "workspace", "clear_of")}
-        recipe = {"task": self.task, "weights": digest(path), "max_steps": most, **limits, **facts}
+        recipe = {"task": self.task, "checkpoint": digest(path), "max_steps": most, **limits, **facts}
         with gym.make(twin, max_episode_steps=most, **settings) as env:
             runs = run_episodes(env, agent, seeds, most, self.chunk, folder=self.save, recipe=recipe)
         table = planning_table(runs)

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import tyro
 
+from pwm_gym.commands.folders import data_folder, run_folder
 from pwm_gym.commands.numbers import check_least
 from pwm_gym.policies import CloningConfig, PolicyConfig
 
@@ -37,27 +38,20 @@ class TrainAgent:
 
     def run(self) -> None:
         """Train, with a progress bar and TensorBoard curves, then run the test's episodes."""
-        import gymnasium as gym
-
         import pwm_gym  # noqa: F401  (registers)
         from pwm_gym.commands.plan import print_success
-        from pwm_gym.evaluation import planning_table, run_episodes, write_results
+        from pwm_gym.evaluation import plan_episodes, write_results
         from pwm_gym.policies import PolicyAgent, clone, load_policy
-        from pwm_gym.seeds import seed_range
         from pwm_gym.tasks import get_task
 
         check_least(self, demonstrations=0, episodes=0)
         task = get_task(self.task)
-        data = self.data or Path("data-sets") / task.name
-        out = self.out or Path("runs") / f"{task.name}-cloned"
+        data, out = data_folder(task.name, self.data), run_folder(f"{task.name}-cloned", self.out)
         clone(task.name, data, out, self.training, self.network, self.demonstrations)
         print(f"policy: {out}")
         if not self.episodes:
             return
-        agent = PolicyAgent(load_policy(out), task.name)
-        with gym.make(f"pwm/{task.name}Sim-v0", objects=self.objects or None) as env:
-            runs = run_episodes(env, agent, seed_range("plan_test", self.episodes), task.max_episode_steps)
-        table = planning_table(runs)
+        table = plan_episodes(PolicyAgent(load_policy(out), task.name), self.episodes, self.objects, progress=True)
         print_success(f"{task.name}, behaviour cloning in the simulator", table)
         if self.json is not None:
             write_results(self.json, {"demonstrations": self.demonstrations, "objects": self.objects, **table})

@@ -23,10 +23,10 @@ __all__ = [
     "disturbance",
     "finger_blocking",
     "grasped",
+    "hand_clear",
+    "hand_low",
     "held",
-    "left",
     "lift",
-    "low_over",
     "misalignment",
     "near",
     "place",
@@ -44,7 +44,7 @@ _EMPTY = 0.001  # metres between pads that hold nothing
 _OFF_PLACE = 0.02  # metres between tool and grip place within which the fingers may shut
 _NARROW, _WIDE = 0.06, 0.08  # metres: a width that fits well, and the open Panda gripper's
 _HAND_WIDTH = 0.10  # metres from the tool to an object's centre, in the plane, at which the hand is beside it
-_LEFT, _LEAVING = 0.02, 0.10  # metres over an object at which the fingers have left it, and that they have to rise
+_CLEAR, _LEAVING = 0.02, 0.10  # metres over an object at which the fingers have left it, and that they have to rise
 
 
 # A simulator's shaped rewards -------------------------------------------------------------------------------------
@@ -240,21 +240,21 @@ def lift(name: str, height: float) -> Term:
     return term
 
 
-def _over(points: Points, name: str) -> Tensor:
+def _clearance(points: Points, name: str) -> Tensor:
     """Height (B,), metres, of the finger tips over the object's top, or how far the hand is beside it: the larger."""
     tips = torch.minimum(points["left_gripper"][..., 2].amin(-1), points["right_gripper"][..., 2].amin(-1))
     beside = (contacts.tool_centre(points) - contacts.centre(points, name))[..., :2].norm(dim=-1) - _HAND_WIDTH
     return torch.maximum(tips - points[name][..., 2].amax(-1), beside)
 
 
-def low_over(name: str) -> Term:
+def hand_low(name: str) -> Term:
     """How far the fingers have still to rise until they have left the object, as a share of 10 cm."""
-    return lambda points, info: ((_LEFT + 0.01 - _over(points, name)) / _LEAVING).clamp(0.0, 1.0)
+    return lambda points, info: ((_CLEAR + 0.01 - _clearance(points, name)) / _LEAVING).clamp(0.0, 1.0)
 
 
-def left(name: str) -> Term:
+def hand_clear(name: str) -> Term:
     """Bool (B,): the fingers are over the object, or beside it: they may go anywhere without pushing it."""
-    return lambda points, info: _over(points, name) >= _LEFT
+    return lambda points, info: _clearance(points, name) >= _CLEAR
 
 
 def settle(name: str, target: Place, arm: JointSpeeds, limit: float) -> Term:

@@ -137,11 +137,11 @@ def leave(name: str) -> Stage:
     return Stage(
         f"leave {name}",
         {
-            "low": (8.0, objects.low_over(name)),
+            "low": (8.0, objects.hand_low(name)),
             "narrow": (2.0, _narrow),
             "disturbance": (2.0, objects.disturbance(name)),
         },
-        objects.left(name),
+        objects.hand_clear(name),
     )
 
 

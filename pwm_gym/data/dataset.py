@@ -75,6 +75,11 @@ class Dataset:
         chosen = {KINDS.index(kind) for kind in kinds}
         return replace(self, episodes=tuple(e for e in self.episodes if e.kind in chosen))
 
+    def some(self, count: int) -> Dataset:
+        """``count`` of the episodes, evenly chosen."""
+        index = np.linspace(0, len(self.episodes) - 1, count).round().astype(int)
+        return replace(self, episodes=tuple(self.episodes[i] for i in index))
+
     @cached_property
     def combinations(self) -> tuple[tuple[str, ...], ...]:
         """Every tuple of assets (E,) that some episode has."""

@@ -1,7 +1,7 @@
 """Metrics, tables and floors. They receive models, data sets, environments or simulators as arguments."""
 
 from pwm_gym.evaluation.metrics import chamfer, pearson
-from pwm_gym.evaluation.planning import planning_table, run_episodes, save_runs, wilson
+from pwm_gym.evaluation.planning import plan_episodes, planning_table, run_episodes, save_runs, wilson
 from pwm_gym.evaluation.record import write_results
 from pwm_gym.evaluation.report import evaluate_rollouts
 from pwm_gym.evaluation.rollouts import long_rollouts, predict, validation_metrics
@@ -11,6 +11,7 @@ __all__ = [
     "evaluate_rollouts",
     "long_rollouts",
     "pearson",
+    "plan_episodes",
     "planning_table",
     "predict",
     "run_episodes",

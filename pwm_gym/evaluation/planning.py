@@ -16,10 +16,12 @@ from pwm_gym.errors import PwmGymError
 from pwm_gym.files import write_atomically
 from pwm_gym.planning import Agent, Run, execute
 from pwm_gym.scene import Scene
+from pwm_gym.schema import read_json
+from pwm_gym.seeds import seed_range
+
+__all__ = ["load_runs", "plan_episodes", "planning_table", "run_episodes", "save_runs", "wilson"]
 
 _RECIPE = "planned-by.json"
-
-__all__ = ["load_runs", "planning_table", "run_episodes", "save_runs", "wilson"]
 
 
 def run_episodes(
@@ -47,7 +49,7 @@ def run_episodes(
         recipe: all that decides a run, of JSON's types; a folder belongs to one.
 
     Raises:
-        PwmGymError: the folder's runs were planned by another recipe.
+        PwmGymError: the folder's runs were planned by another recipe, or do not tell by which.
     """
     runs = []
     if folder is not None:
@@ -65,18 +67,31 @@ def run_episodes(
     return runs
 
 
+def plan_episodes(agent: Agent, episodes: int, objects: str = "", progress: bool = False) -> dict[str, Any]:
+    """Table of the test seeds in the simulator, in closed loop.
+
+    Args:
+        agent: plans, or acts.
+        episodes: how many.
+        objects: what they draw their objects from, where they differ; the task's default if not given.
+        progress: whether to show a progress bar.
+    """
+    task = agent.task
+    with gym.make(f"pwm/{task.name}Sim-v0", objects=objects or None) as env:
+        seeds = seed_range("plan_test", episodes)
+        runs = run_episodes(env, agent, seeds, task.max_episode_steps, progress=progress)
+    return planning_table(runs)
+
+
 def _claim(folder: Path, recipe: dict[str, Any]) -> None:
     """Note by what a folder's runs are planned, or compare with what is noted there."""
     path, told = folder / _RECIPE, json.loads(json.dumps(recipe))
     if not path.exists():
+        if any(folder.glob(_record("*"))):
+            raise PwmGymError(f"{folder} holds runs and no {_RECIPE}; expected another folder")
         write_atomically(path, json.dumps(told, indent=1).encode())
         return
-    try:
-        found = json.loads(path.read_text())
-    except ValueError as error:
-        raise PwmGymError(f"{path} is damaged: {error}; expected what its runs were planned by") from error
-    if not isinstance(found, dict):
-        raise PwmGymError(f"{path} holds {found!r}; expected what its runs were planned by")
+    found = read_json(path, dict[str, Any], PwmGymError)
     if other := sorted(key for key in {*found, *told} if found.get(key) != told.get(key)):
         was, now = ({key: each.get(key) for key in other} for each in (found, told))
         raise PwmGymError(f"{folder} holds runs that were planned with {was}; expected {now}, or another folder")
@@ -93,7 +108,11 @@ def _recorded(folder: Path, seed: int) -> Run | None:
 def save_runs(runs: Sequence[Run], folder: Path) -> None:
     """Write a record of each run to ``folder`` as ``seed-N.npz``."""
     for run in runs:
-        run.save(folder / f"seed-{run.seed}.npz")
+        run.save(folder / _record(run.seed))
+
+
+def _record(seed: int | str) -> str:
+    return f"seed-{seed}.npz"
 
 
 def load_runs(seeds: Sequence[int], folder: Path) -> list[Run]:
@@ -102,7 +121,7 @@ def load_runs(seeds: Sequence[int], folder: Path) -> list[Run]:
     Raises:
         PwmGymError: one is missing, truncated or not a run.
     """
-    return [Run.load(folder / f"seed-{seed}.npz") for seed in seeds]
+    return [Run.load(folder / _record(seed)) for seed in seeds]
 
 
 def wilson(successes: int, trials: int, z: float = 1.96) -> tuple[float, float]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
@@ -21,6 +20,7 @@ from pwm_gym.errors import look_up
 from pwm_gym.evaluation.planning import load_runs, planning_table, run_episodes, save_runs
 from pwm_gym.experiments.pieces import Piece, run_pieces
 from pwm_gym.experiments.tables import row_folder, trained
+from pwm_gym.learning import digest
 from pwm_gym.planning import Agent, Run, SamplingConfig, get_planner_config
 from pwm_gym.scene import Scene
 from pwm_gym.seeds import seed_range
@@ -29,7 +29,7 @@ from pwm_gym.sim.model import SimulatorModel
 from pwm_gym.tasks import Task, get_task
 from pwm_gym.training import fit_baseline
 
-__all__ = ["CHUNKS", "PLANNING_TABLES", "Member", "PlanningTable", "digest", "run_planning_table"]
+__all__ = ["CHUNKS", "PLANNING_TABLES", "Member", "PlanningTable", "run_planning_table"]
 
 CHUNKS = {"closed loop": 1, "chunks of 20": 20, "chunks of 50": 50, "open loop": 0}
 """Name -> actions between two looks; 0 looks once."""
@@ -238,12 +238,6 @@ def _planned(
     model = _model(member, data, out, get_task(task).name, objects, scale)
     table = _plan(model, member, get_task(task), chunk, episodes, objects, folder)
     return {"threads": torch.get_num_threads(), **table}
-
-
-def digest(checkpoint: Path) -> str:
-    """Hash of a checkpoint's weights and of its description."""
-    parts = [(checkpoint / name).read_bytes() for name in ("model.safetensors", "config.json")]
-    return hashlib.sha256(b"".join(parts)).hexdigest()
 
 
 @lru_cache(maxsize=1)  # the modes of a member follow each other

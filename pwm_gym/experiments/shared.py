@@ -11,10 +11,11 @@ from pwm_gym.data import load_split
 from pwm_gym.data.simulated import check_objects
 from pwm_gym.dynamics import load_checkpoint
 from pwm_gym.errors import PwmGymError
+from pwm_gym.evaluation.planning import plan_episodes
 from pwm_gym.evaluation.report import evaluate_rollouts
-from pwm_gym.experiments.members import digest
 from pwm_gym.experiments.pieces import Piece, run_pieces
-from pwm_gym.experiments.tables import plan_episodes
+from pwm_gym.learning import digest
+from pwm_gym.planning import Agent
 from pwm_gym.process import prepare_process
 from pwm_gym.tasks import get_task
 
@@ -91,4 +92,5 @@ def _evaluated(
     prepare_process(threads=1)
     task, model = get_task(task_name), load_checkpoint(checkpoint).model
     splits = evaluate_rollouts(model, task, load_split(data, "test", task_name), every=10, progress=False)
-    return {"splits": splits, "planning": plan_episodes(model, task, episodes, objects) if episodes else None}
+    planning = plan_episodes(Agent(model, task.name), episodes, objects) if episodes else None
+    return {"splits": splits, "planning": planning}

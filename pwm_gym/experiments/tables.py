@@ -13,26 +13,24 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 
 from pwm_gym.data import load_split
 from pwm_gym.data.partial import visible_split
 from pwm_gym.data.simulated import check_objects
-from pwm_gym.dynamics import WorldModel, load_checkpoint
+from pwm_gym.dynamics import load_checkpoint
 from pwm_gym.errors import look_up
-from pwm_gym.evaluation.planning import planning_table, run_episodes
+from pwm_gym.evaluation.planning import plan_episodes
 from pwm_gym.evaluation.report import evaluate_rollouts
 from pwm_gym.evaluation.rollouts import observed_start
 from pwm_gym.experiments.pieces import Piece, run_pieces
 from pwm_gym.planning import Agent
 from pwm_gym.process import prepare_process
-from pwm_gym.seeds import seed_range
-from pwm_gym.tasks import Task, get_task
+from pwm_gym.tasks import get_task
 from pwm_gym.training import FitConfig, fit
 from pwm_gym.training.losses import TrainConfig
 
-__all__ = ["TABLES", "Row", "Table", "plan_episodes", "row_folder", "run_table", "trained"]
+__all__ = ["TABLES", "Row", "Table", "row_folder", "run_table", "trained"]
 
 _ABLATION = 500_000  # sample-steps: about ten minutes of the default model on one core
 _HEADLINE = 50_000  # twenty minutes to an hour of a network of points on one core
@@ -341,16 +339,8 @@ def _evaluated(row: Row, seed: int, data: Path, task_name: str, objects: str, fo
         "episodes": sum(training["data"]["episodes"].values()),
         "parameters": sum(p.numel() for p in model.parameters()),  # type: ignore[attr-defined]
         "splits": evaluate_rollouts(model, task, test, every=10, progress=False, start=start),
-        "planning": plan_episodes(model, task, row.plan, objects) if row.plan else None,
+        "planning": plan_episodes(Agent(model, task.name), row.plan, objects) if row.plan else None,
     }
-
-
-def plan_episodes(model: WorldModel, task: Task, episodes: int, objects: str = "") -> dict[str, Any]:
-    """Closed-loop planning of the test seeds in the simulator, with these ``objects`` or the task's default."""
-    with gym.make(f"pwm/{task.name}Sim-v0", objects=objects or None) as env:
-        seeds, most = seed_range("plan_test", episodes), task.max_episode_steps
-        runs = run_episodes(env, Agent(model, task.name), seeds, most, progress=False)
-    return planning_table(runs)
 
 
 def _joined(row: Row, runs: list[dict[str, Any]], objects: Sequence[str]) -> dict[str, Any]:

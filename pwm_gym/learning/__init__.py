@@ -3,13 +3,14 @@
 from pwm_gym.learning.clock import Clock
 from pwm_gym.learning.loop import LoopConfig, has_state, is_main_process, run_training
 from pwm_gym.learning.optimizers import Optimizer, build_optimizer
-from pwm_gym.learning.weights import load_weights, read_description, save_weights
+from pwm_gym.learning.weights import digest, load_weights, read_description, save_weights
 
 __all__ = [
     "Clock",
     "LoopConfig",
     "Optimizer",
     "build_optimizer",
+    "digest",
     "has_state",
     "is_main_process",
     "load_weights",

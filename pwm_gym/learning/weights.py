@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 from collections.abc import Mapping
@@ -17,7 +18,7 @@ from torch import Tensor, nn
 from pwm_gym.errors import CheckpointError
 from pwm_gym.schema import convert, read_json
 
-__all__ = ["load_weights", "read_description", "save_weights"]
+__all__ = ["digest", "load_weights", "read_description", "save_weights"]
 
 _WEIGHTS, _DESCRIPTION = "model.safetensors", "config.json"
 _DAMAGE = (SafetensorError, OSError, ValueError, TypeError, LookupError, RuntimeError, MemoryError, OverflowError)
@@ -94,6 +95,11 @@ def load_weights(model: nn.Module, folder: Path) -> None:
     except RuntimeError as error:
         raise CheckpointError(f"{path} does not fit its {_DESCRIPTION}: {error}") from error
     model.eval().requires_grad_(False)
+
+
+def digest(folder: Path) -> str:
+    """Hash of a checkpoint's weights and description."""
+    return hashlib.sha256(b"".join((folder / name).read_bytes() for name in (_WEIGHTS, _DESCRIPTION))).hexdigest()
 
 
 def _check_finite(weights: Mapping[str, Tensor], model: nn.Module, what: str) -> None:

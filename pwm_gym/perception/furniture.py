@@ -21,6 +21,7 @@ from pwm_gym.perception.tracking import (
     least_motion,
     seen_part,
     surface_weights,
+    thinned,
     turned_back,
 )
 from pwm_gym.robots.joints import JointTree
@@ -32,10 +33,10 @@ _YAWS, _OPEN = 24, 5  # turns about the vertical, and positions of the joints, t
 _REFINED = 4  # of these guesses are refined
 _ROUNDS, _LOOK_AGAIN = 40, 8  # Gauss-Newton steps of a guess, and after how many what is visible is told anew
 _FAR = 0.03  # metres: a point farther from the cloud counts as that far
-_MOST = 400  # points of a view, and of a cloud, that are compared
 _REACH = {"prismatic": 0.04, "revolute": 0.35}  # metres and radians that a joint moves between two views, at the most
 _STEPS, _FINER = 25, 11  # positions that are tried, and then between the best one's neighbours
-_NEWTON, _TINY, _DAMPING = 6, 1e-4, 1e-3  # Gauss-Newton steps of a joint, a slope's shift, and what keeps steps small
+_NEWTON = 6  # Gauss-Newton steps of a joint
+_TINY = 1e-4  # metres or radians that tell what a joint does to points
 _TRIM = 3.0  # times the median distance is the gate of a step
 _ABOVE = 0.02  # metres over a part's highest point up to which something is in it
 _INSIDE = 0.006  # metres over a part's lowest point at which what is in it stands
@@ -63,7 +64,6 @@ class Furniture:
     def __init__(
         self, layout: Layout, clouds: Mapping[str, np.ndarray], tracking: TrackingConfig | None = None
     ) -> None:
-        self.names = furniture_names(layout)
         self.moving = [layout.names[k] for k in layout.articulated]
         config = tracking or TrackingConfig()
         hung: dict[str, list[str]] = {}
@@ -74,9 +74,10 @@ class Furniture:
                     f"{name!r} hangs on {parent!r}; perception expects a part that hangs on a resting body"
                 )
             hung.setdefault(parent, []).append(name)
-        self._parts = {name: _Part.of(layout, name, clouds[name]) for name in self.names}
+        self._parts = {n: _Part.of(layout, n, clouds[n], config.max_points) for n in furniture_names(layout)}
+        self._drawers = [name for name in self.moving if self._parts[name].joint.kind == "prismatic"]
         self._bodies = [_Body({n: self._parts[n] for n in (root, *parts)}, config) for root, parts in hung.items()]
-        self._least = config.min_points
+        self._config = config
         self._history: dict[str, np.ndarray] = {}
 
     def __contains__(self, name: str) -> bool:
@@ -86,7 +87,7 @@ class Furniture:
     @property
     def hides(self) -> bool:
         """Whether a part slides, in which an object may be hidden."""
-        return any(part.joint.kind == "prismatic" for part in self._parts.values())
+        return bool(self._drawers)
 
     def history(self, name: str) -> np.ndarray:
         """Poses (3, 4, 4) of a part after the last view, the one before and the one before that."""
@@ -105,15 +106,19 @@ class Furniture:
             eye: where the camera stood (3,).
         """
         for body in self._bodies:
-            body.find({name: _thin(partials[name]) for name in body.parts}, np.asarray(eye, np.float64))
+            body.find(_View.of(self._thinned({name: partials[name] for name in body.parts}), eye))
             self._history |= {name: np.repeat(pose[None], 3, 0) for name, pose in body.placed().items()}
 
     def update(self, partials: Mapping[str, np.ndarray]) -> None:
         """Take in a later view; a joint whose part is hardly seen keeps its position."""
+        least = self._config.min_points
         for body in self._bodies:
-            body.follow({n: _thin(partials[n]) for n in body.parts if len(partials.get(n, ())) >= self._least})
+            body.follow(self._thinned({n: partials[n] for n in body.parts if len(partials.get(n, ())) >= least}))
             for name, pose in body.placed().items():
                 self._history[name] = np.concatenate([pose[None], self._history[name][:2]])
+
+    def _thinned(self, partials: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+        return {name: thinned(points, self._config.max_points) for name, points in partials.items()}
 
     def around(self, point: np.ndarray) -> str | None:
         """The moving part in whose box, up to 2 cm over it, a point (3,) is; None where it is in none."""
@@ -130,12 +135,12 @@ class Furniture:
         Raises:
             PwmGymError: no part slides, and could hide it.
         """
-        drawers = [name for name in self.moving if self._parts[name].joint.kind == "prismatic"]
-        if not drawers:
+        if not self.hides:
             raise PwmGymError(
                 f"none of {', '.join(self.moving) or 'no parts'} slides; expected a drawer that may hide it"
             )
-        part, pose = self._parts[drawers[0]], self._history[drawers[0]][0].copy()
+        name = self._drawers[0]
+        part, pose = self._parts[name], self._history[name][0].copy()
         place = np.append(0.5 * (part.low + part.high)[:2], part.low[2] + _INSIDE - cloud[:, 2].min())
         pose[:3, 3] += pose[:3, :3] @ place
         return pose
@@ -153,19 +158,45 @@ class _Part:
     tree: JointTree
 
     @classmethod
-    def of(cls, layout: Layout, name: str, cloud: np.ndarray) -> _Part:
+    def of(cls, layout: Layout, name: str, cloud: np.ndarray, few: int) -> _Part:
         points, joint = np.asarray(cloud, np.float64), layout[name].joint
         tree = JointTree(layout, [layout.index(name)] if joint.moves else [])
-        return cls(_thin(points), points.min(0), points.max(0), Surface.of(points), joint, tree)
+        return cls(thinned(points, few), points.min(0), points.max(0), Surface.of(points), joint, tree)
 
-    def local(self, position: float) -> np.ndarray:
-        """Pose (4, 4) in the body's frame at a joint position."""
-        return self.tree.local(torch.tensor([position], dtype=torch.float32))[0].double().numpy()
+    def local(self, positions: np.ndarray | float) -> np.ndarray:
+        """Poses (..., 4, 4) in the body's frame at joint positions (...)."""
+        return (
+            self.tree.local(torch.as_tensor(positions, dtype=torch.float32)[..., None])[..., 0, :, :].double().numpy()
+        )
+
+    def seen(self, pose: np.ndarray, position: float, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Points (m, 3) in the part's frame, of a body at ``pose`` with its joint somewhere, and what the joint does.
+
+        Returns:
+            Places (m, 3), metres, and by how much they change with the joint's position (m, 3).
+        """
+        here, there = (_seen_from(pose @ local, points) for local in self.local(position + np.array([0.0, _TINY])))
+        return here, (there - here) / _TINY
 
     def misfit(self, points: np.ndarray, pose: np.ndarray) -> float:
         """Mean distance of points (m, 3) to the cloud at a pose (4, 4), metres, each at most 3 cm."""
         distances, _ = self.surface.tree.query(_seen_from(pose, points), distance_upper_bound=_FAR)
         return float(np.minimum(distances, _FAR).mean())
+
+
+@dataclass(frozen=True, eq=False)
+class _View:
+    """What a view shows of a body."""
+
+    parts: Mapping[str, np.ndarray]  # part -> points (m, 3)
+    points: np.ndarray  # (n, 3), of all parts
+    tree: cKDTree  # of these
+    eye: np.ndarray  # (3,)
+
+    @classmethod
+    def of(cls, parts: Mapping[str, np.ndarray], eye: np.ndarray) -> _View:
+        points = np.concatenate(list(parts.values()))
+        return cls(parts, points, cKDTree(points), np.asarray(eye, np.float64))
 
 
 class _Body:
@@ -192,46 +223,41 @@ class _Body:
 
     # The first view ---------------------------------------------------------------------------------------------------
 
-    def find(self, seen: Mapping[str, np.ndarray], eye: np.ndarray) -> None:
+    def find(self, view: _View) -> None:
         """Pose and joints that a view shows: of many guesses the best ones, refined."""
         guesses = []
         for share in np.linspace(0.0, 1.0, _OPEN):
             joints = {name: self.parts[name].joint for name in self._hung}
             positions = {name: joint.lower + share * (joint.upper - joint.lower) for name, joint in joints.items()}
             for yaw in np.linspace(0.0, 2.0 * np.pi, _YAWS, endpoint=False):
-                guess = (self._upright(positions, seen, yaw), positions)
-                guesses.append((self._misfit(*guess, seen, eye), guess))
-        guesses.sort(key=lambda found: found[0])
-        refined = [self._refined(*guess, seen, eye) for _, guess in guesses[:_REFINED]]
-        self._pose, self._positions = min(refined, key=lambda found: self._misfit(found[0], found[1], seen, eye))
+                guesses.append((self._upright(positions, view, yaw), positions))
+        guesses.sort(key=lambda guess: self._misfit(guess[0], guess[1], view))
+        refined = [self._refined(pose, positions, view) for pose, positions in guesses[:_REFINED]]
+        self._pose, self._positions = min(refined, key=lambda found: self._misfit(found[0], found[1], view))
 
-    def _upright(self, positions: Mapping[str, float], seen: Mapping[str, np.ndarray], yaw: float) -> np.ndarray:
+    def _upright(self, positions: Mapping[str, float], view: _View, yaw: float) -> np.ndarray:
         """Pose (4, 4) of a body that is turned by ``yaw``, its top and middle where those of what is seen are."""
         pose = np.eye(4)
         pose[:2, :2] = [[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]]
-        whole = self._whole(pose, positions)
-        low, high = np.percentile(np.concatenate(list(seen.values())), [2, 98], axis=0)
+        whole = self._whole(self.placed(pose, positions))
+        low, high = np.percentile(view.points, [2, 98], axis=0)
         pose[:3, 3] = 0.5 * (low + high) - 0.5 * (whole.min(0) + whole.max(0))
         pose[2, 3] = high[2] - whole[:, 2].max()
         return pose
 
-    def _whole(self, pose: np.ndarray, positions: Mapping[str, float]) -> np.ndarray:
-        """Some points (n, 3) of the body and its parts."""
-        placed = self.placed(pose, positions)
+    def _whole(self, placed: Mapping[str, np.ndarray]) -> np.ndarray:
+        """Some points (n, 3) of the body and its parts, at poses (4, 4)."""
         return np.concatenate([self.parts[n].few @ p[:3, :3].T + p[:3, 3] for n, p in placed.items()])
 
-    def _misfit(
-        self, pose: np.ndarray, positions: Mapping[str, float], seen: Mapping[str, np.ndarray], eye: np.ndarray
-    ) -> float:
-        """How ill the views fit, both ways: what is seen lies on the parts, and what would be seen of them is seen."""
+    def _misfit(self, pose: np.ndarray, positions: Mapping[str, float], view: _View) -> float:
+        """How ill a view fits, both ways: what is seen lies on the parts, and what would be seen of them is seen."""
         placed = self.placed(pose, positions)
-        there = np.mean([self.parts[name].misfit(seen[name], place) for name, place in placed.items()])
-        points = cKDTree(np.concatenate(list(seen.values())))
-        distances, _ = points.query(seen_part(self._whole(pose, positions), eye), distance_upper_bound=_FAR)
+        there = np.mean([self.parts[name].misfit(view.parts[name], place) for name, place in placed.items()])
+        distances, _ = view.tree.query(seen_part(self._whole(placed), view.eye), distance_upper_bound=_FAR)
         return float(there + np.minimum(distances, _FAR).mean())
 
     def _refined(
-        self, pose: np.ndarray, positions: Mapping[str, float], seen: Mapping[str, np.ndarray], eye: np.ndarray
+        self, pose: np.ndarray, positions: Mapping[str, float], view: _View
     ) -> tuple[np.ndarray, dict[str, float]]:
         """A guess after Gauss-Newton steps of the body's pose and its joints together."""
         pose, found = pose.copy(), dict(positions)
@@ -239,8 +265,8 @@ class _Body:
         for iteration in range(_ROUNDS):
             if iteration % _LOOK_AGAIN == 0:
                 placed = self.placed(pose, found)
-                visible = {name: part.surface.seen_from(placed[name], eye) for name, part in self.parts.items()}
-            rows = [self._row(k, pose, found, points, visible[n]) for k, (n, points) in enumerate(seen.items())]
+                visible = {name: part.surface.seen_from(placed[name], view.eye) for name, part in self.parts.items()}
+            rows = [self._row(name, pose, found, view.parts[name], visible[name]) for name in self.parts]
             motion, way, normals, distances = (np.concatenate(part) for part in zip(*rows, strict=True))
             scale = float(np.clip(_TRIM * np.median(distances), self._config.gate, self._config.reach))
             spacing = max(surface.spacing for surface in visible.values())
@@ -252,23 +278,23 @@ class _Body:
         return pose, found
 
     def _row(
-        self, k: int, pose: np.ndarray, positions: Mapping[str, float], points: np.ndarray, visible: Surface
+        self, name: str, pose: np.ndarray, positions: Mapping[str, float], points: np.ndarray, visible: Surface
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """What the points (m, 3) of part ``k`` say in the body's frame.
+        """What the points (m, 3) of a part say in the body's frame.
 
         What the body's motion and its J joints do to them (m, 3, 6 + J), their ways (m, 3) to the surface, its normals
         (m, 3) there, and their distances (m,).
         """
-        name = list(self.parts)[k]
-        place = self.placed(pose, positions)[name]
-        local = _seen_from(place, points)
-        distances, way, normals = visible.match(local)
-        turn = place[:3, :3].T @ pose[:3, :3]
+        in_body = _seen_from(pose, points)
         motion = np.zeros((len(points), 3, 6 + len(self._hung)))
-        motion[:, :, :6] = body_motion(_seen_from(pose, points))
-        if k:
-            moved = _seen_from(pose @ self.parts[name].local(positions[name] + _TINY), points)
-            motion[:, :, 5 + k] = (moved - local) / _TINY @ turn
+        motion[:, :, :6] = body_motion(in_body)
+        if name == self._root:
+            distances, way, normals = visible.match(in_body)
+            return motion, way, normals, distances
+        local, change = self.parts[name].seen(pose, positions[name], points)
+        distances, way, normals = visible.match(local)
+        turn = self.parts[name].local(positions[name])[:3, :3].T
+        motion[:, :, 6 + self._hung.index(name)] = change @ turn
         return motion, way @ turn, normals @ turn, distances
 
     # Later ones -------------------------------------------------------------------------------------------------------
@@ -281,28 +307,23 @@ class _Body:
 
     def _position(self, name: str, points: np.ndarray) -> float:
         """Joint position near the last one at which points (m, 3) fit a part best."""
-        reach = _REACH[self.parts[name].joint.kind]
-        tried = np.linspace(-reach, reach, _STEPS)
+        part, reach = self.parts[name], _REACH[self.parts[name].joint.kind]
+        tried, step = np.linspace(-reach, reach, _STEPS, retstep=True)
         best = self._best(name, points, self._positions[name] + tried)
-        best = self._best(name, points, best + np.linspace(tried[0] - tried[1], tried[1] - tried[0], _FINER))
-        return self._exact(name, points, best)
+        best = self._best(name, points, best + np.linspace(-step, step, _FINER))
+        for _ in range(_NEWTON):  # by distances along the part's normals
+            local, change = part.seen(self._pose, best, points)
+            distances, way, normals = part.surface.match(local)
+            weights = surface_weights(distances, way, normals, self._config.gate, part.surface.spacing)
+            best = self._within(name, best + least_motion(change[:, :, None], way, normals, weights)[0])
+        return best
 
     def _best(self, name: str, points: np.ndarray, tried: np.ndarray) -> float:
         """That of joint positions, or of the limits that they are beyond, at which points fit best."""
-        part, within = self.parts[name], [self._within(name, q) for q in tried]
-        return min(within, key=lambda q: part.misfit(points, self._pose @ part.local(q)))
-
-    def _exact(self, name: str, points: np.ndarray, position: float) -> float:
-        """A joint position after some Gauss-Newton steps, by distances along the part's normals."""
         part = self.parts[name]
-        for _ in range(_NEWTON):
-            local, moved = (_seen_from(self._pose @ part.local(position + d), points) for d in (0.0, _TINY))
-            distances, way, normals = part.surface.match(local)
-            near = distances < self._config.gate + 1.5 * part.surface.spacing
-            slope = ((moved - local) * normals).sum(1)[near] / _TINY
-            gap = (way * normals).sum(1)[near]
-            position = self._within(name, position + (slope * gap).sum() / (np.square(slope).sum() + _DAMPING))
-        return position
+        within = np.clip(tried, part.joint.lower, part.joint.upper)
+        misfits = [part.misfit(points, self._pose @ local) for local in part.local(within)]
+        return float(within[np.argmin(misfits)])
 
     def _within(self, name: str, position: float) -> float:
         joint = self.parts[name].joint
@@ -312,8 +333,3 @@ class _Body:
 def _seen_from(pose: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Points (m, 3) in the frame of a pose (4, 4)."""
     return np.asarray((points - pose[:3, 3]) @ pose[:3, :3])
-
-
-def _thin(points: np.ndarray) -> np.ndarray:
-    """At most 400 of points (m, 3)."""
-    return points[:: -(-len(points) // _MOST)]

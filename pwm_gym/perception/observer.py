@@ -95,7 +95,7 @@ class SceneObserver:
                 f"{', '.join(known)} hang on joints; expected the layout's canonical clouds to know them by"
             )
         self._canonical = {} if clouds is None else {e.name: clouds[e.slice] for e in layout if not e.driven}
-        self._furniture = Furniture(layout, {n: self._canonical[n] for n in known}, tracking) if known else None
+        self._furniture = Furniture(layout, self._canonical, tracking)
         self.reset()
 
     def reset(self) -> None:
@@ -143,10 +143,6 @@ class SceneObserver:
         scene = self._scene(self._tracker, goal, last_action)
         return Observation(scene, partials, dict(self._errors), seconds)
 
-    def _known(self, name: str) -> bool:
-        """Whether an entity is a part of a body with joints."""
-        return self._furniture is not None and name in self._furniture
-
     def _move_robot(self, frame: Frame) -> None:
         if frame.joints is None:
             raise SceneError("the frame has no joints; expected the robot's joint angles (J,)")
@@ -161,7 +157,7 @@ class SceneObserver:
         """Clean points of what is in sight; in the first view all must be, but for what a body with joints may hide."""
         first, partials = self._tracker is None, {}
         for name in (e.name for e in self.layout if not e.driven):
-            may_hide = self._furniture is not None and self._furniture.hides and not self._known(name)
+            may_hide = self._furniture.hides and name not in self._furniture
             if name not in masks:
                 if first and not may_hide:
                     found = ", ".join(masks) or "nothing"
@@ -176,14 +172,12 @@ class SceneObserver:
 
     def _begin(self, partials: Mapping[str, np.ndarray], eye: np.ndarray) -> Tracker:
         """Find the bodies with joints, and complete all other objects."""
-        if self._furniture is not None:
-            self._furniture.find(partials, eye)
+        self._furniture.find(partials, eye)
         poses = {}
-        for name in (e.name for e in self.layout if not e.driven and not self._known(e.name)):
+        for name in (e.name for e in self.layout if not e.driven and e.name not in self._furniture):
             if name in partials:
                 poses[name] = self._complete(name, partials[name], eye)
             else:
-                assert self._furniture is not None, "nothing else may hide it"
                 poses[name] = self._furniture.inside(self._canonical[name])
                 self._completed[name] = self._canonical[name].astype(np.float32)
                 self._unseen.add(name)
@@ -199,13 +193,13 @@ class SceneObserver:
                 pose = self._complete(name, partials[name], eye)
                 tracker.track(name, self._completed[name], pose)
                 self._unseen.discard(name)
-        loose = {n: p for n, p in partials.items() if not self._known(n) and n not in self._unseen}
-        if self._furniture is not None:
-            held_by = {n: self._furniture.around(points.mean(0)) for n, points in tracker.points().items()}
-            carried = {**{n: part for n, part in held_by.items() if part is not None}, **carried}
-            self._furniture.update(partials)
-            motions |= {name: self._furniture.motion(name) for name in self._furniture.moving}
-        tracker.update(loose, eye=eye, carried_by=carried, motion=motions)
+        furniture, loose = self._furniture, partials.keys() - self._unseen
+        held_by = {n: furniture.around(points.mean(0)) for n, points in tracker.points().items()}
+        carriers = {**{n: part for n, part in held_by.items() if part is not None}, **carried}
+        furniture.update(partials)
+        motions |= {name: furniture.motion(name) for name in furniture.moving}
+        views = {name: partials[name] for name in loose if name not in furniture}
+        tracker.update(views, eye=eye, carried_by=carriers, motion=motions)
 
     def _complete(self, name: str, partial: np.ndarray, eye: np.ndarray) -> np.ndarray:
         """Complete an object, and return its pose (4, 4)."""
@@ -231,7 +225,7 @@ class SceneObserver:
             if e.driven:
                 poses.append(next(links))
                 clouds.append(self._own[e.name])
-            elif self._furniture is not None and e.name in self._furniture:
+            elif e.name in self._furniture:
                 poses.append(self._furniture.history(e.name))
                 clouds.append(self._canonical[e.name])
             else:

@@ -28,6 +28,7 @@ __all__ = [
     "register",
     "seen_part",
     "surface_weights",
+    "thinned",
     "turned_back",
 ]
 
@@ -173,7 +174,7 @@ class Tracker:
         config, surface = self.config, self._surfaces[name]
         if len(partial) < config.min_points:
             return None
-        points = _checked_points(f"the view of {name!r}", partial)[:: -(-len(partial) // config.max_points)]
+        points = thinned(_checked_points(f"the view of {name!r}", partial), config.max_points)
         seen = surface.seen_from(guess, eye)
         fits = [_fit(surface, seen, points, guess, config)]
         if name not in self.registrations or not self._good(fits[0]):
@@ -216,6 +217,11 @@ def register(
     surface = Surface.of(_checked_points("the canonical cloud", canonical))
     points, start = _checked_points("the view", partial), check_pose("the guess", guess)
     return _fit(surface, surface.seen_from(start, eye), points, start, config or TrackingConfig())
+
+
+def thinned(points: np.ndarray, most: int) -> np.ndarray:
+    """At most ``most`` of points (m, 3), evenly chosen."""
+    return points[:: -(-len(points) // most)]
 
 
 def seen_part(points: np.ndarray, eye: np.ndarray) -> np.ndarray:

@@ -7,7 +7,6 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor, nn
 
@@ -61,6 +60,8 @@ class _Batch:
 
 
 class _Loss(nn.Module):
+    """Huber's loss of a policy's actions."""
+
     def __init__(self, policy: Policy) -> None:
         super().__init__()
         self.policy = policy
@@ -90,7 +91,7 @@ def clone(
         progress: whether to show a bar.
 
     Raises:
-        DatasetError: no such data set, or no demonstrations in it.
+        DatasetError: no such data set, or fewer demonstrations in it.
         PwmGymError: a number of episodes that cannot be.
     """
     config, known = config or CloningConfig(), get_task(task)
@@ -104,15 +105,17 @@ def clone(
     policy.std.copy_(features.std(0).clamp_min(_LEAST_SPREAD))
     held_out = _Batch(*_rows(policy, _demonstrations(data, "validation", known)))
     spread = config.noise * policy.std
+    device = torch.device(config.device)
 
     def draw(generator: torch.Generator, step: int, processes: int) -> _Batch:
         rows = torch.randint(len(features), (config.phase(step)[1] // processes,), generator=generator)
-        noise = torch.randn(len(rows), policy.features, generator=generator)
-        return _Batch(features[rows] + spread.cpu() * noise, actions[rows])
+        noise = torch.randn(len(rows), policy.feature_size, generator=generator)
+        return _Batch(features[rows] + spread * noise, actions[rows])
 
     @torch.no_grad()
     def validate(model: Any) -> dict[str, float]:
-        return {"action_error": float((model(held_out.features) - held_out.actions).abs().mean())}
+        seen = held_out.to(device)
+        return {"action_error": float((model(seen.features) - seen.actions).abs().mean())}
 
     def save(model: nn.Module, metrics: dict[str, float]) -> None:
         described = {"task": known.name, "config": asdict(policy.config), "demonstrations": len(train.episodes)}
@@ -143,11 +146,9 @@ def _demonstrations(data: Path, split: str, task: Task, episodes: int = 0) -> Da
     found = load_split(data, split, task.name).of_kinds(_KINDS)
     if not found.episodes:
         raise DatasetError(f"{data} has no demonstrations in its {split} split; expected some to clone")
-    if 0 < episodes < len(found.episodes):
-        places = np.linspace(0, len(found.episodes) - 1, episodes).round().astype(int)
-        chosen = tuple(found.episodes[k] for k in places)
-        return Dataset(found.task, found.layout, found.assets, chosen)
-    return found
+    if episodes > len(found.episodes):
+        raise DatasetError(f"episodes={episodes}; {data} has {len(found.episodes)} demonstrations")
+    return found.some(episodes) if episodes else found
 
 
 def _rows(policy: Policy, data: Dataset) -> tuple[Tensor, Tensor]:
@@ -163,7 +164,7 @@ def _of_episodes(policy: Policy, data: Dataset) -> Iterator[tuple[Tensor, Tensor
         frames = matrix_from_pose7(torch.as_tensor(episode.poses[:count], dtype=torch.float64)).float()
         past = torch.arange(count).unsqueeze(1) - torch.arange(3)
         goal = torch.as_tensor(episode.goal, dtype=torch.float32).expand(count, -1)
-        features = policy.describe(frames[past.clamp_min(0)], boxes[combination].expand(count, -1, -1), goal)
+        features = policy.features(frames[past.clamp_min(0)], boxes[combination].expand(count, -1, -1), goal)
         yield features, torch.as_tensor(episode.actions[:count], dtype=torch.float32)
 
 

@@ -52,14 +52,15 @@ class Policy(nn.Module):
         self.config = config or PolicyConfig()
         if min(self.config.width, self.config.depth) < 1:
             raise PwmGymError(f"width={self.config.width}, depth={self.config.depth}; expected at least 1 each")
-        self.features = _OWN * len(layout) + 2 * goal_size
-        sizes = [self.features, *[self.config.width] * self.config.depth]
+        self.placed = goal_size == 3  # the goal is a place, then
+        self.feature_size = _OWN * len(layout) + goal_size + 3 * self.placed
+        sizes = [self.feature_size, *[self.config.width] * self.config.depth]
         hidden = [layer for k in range(self.config.depth) for layer in (nn.Linear(sizes[k], sizes[k + 1]), nn.GELU())]
         self.net = nn.Sequential(*hidden, nn.Linear(sizes[-1], action_size))
-        self.register_buffer("mean", torch.zeros(self.features))
-        self.register_buffer("std", torch.ones(self.features))
+        self.register_buffer("mean", torch.zeros(self.feature_size))
+        self.register_buffer("std", torch.ones(self.feature_size))
 
-    def describe(self, frames: Tensor, boxes: Tensor, goal: Tensor) -> Tensor:
+    def features(self, frames: Tensor, boxes: Tensor, goal: Tensor) -> Tensor:
         """Features (B, F) of scenes.
 
         Args:
@@ -74,8 +75,8 @@ class Policy(nn.Module):
             places[:, hands[0]] = origin
         steps = now[..., :3, 3] - frames[:, 1, ..., :3, 3]
         own = torch.cat([places, now[..., :3, :2].flatten(-2), steps, boxes], -1)
-        seen = goal - origin if self.goal_size == 3 else goal
-        return torch.cat([own.flatten(1), goal, seen], -1)
+        seen = [goal, goal - origin] if self.placed else [goal]
+        return torch.cat([own.flatten(1), *seen], -1)
 
     def forward(self, features: Tensor) -> Tensor:
         """Actions (B, A) in [-1, 1] for features (B, F)."""
@@ -90,4 +91,4 @@ class Policy(nn.Module):
         """
         if state.layout.names != self.layout.names:
             raise PwmGymError(f"the policy is of scenes of {self.layout.names}; this one has {state.layout.names}")
-        return self(self.describe(state.frames, boxes_of(state.layout, state.clouds), goal))
+        return self(self.features(state.frames, boxes_of(state.layout, state.clouds), goal))

@@ -226,10 +226,7 @@ def _chosen(dataset: Dataset, config: FitConfig, tasks: int) -> Dataset:
     count, wanted = len(dataset.episodes), config.episodes // tasks
     if wanted > count:
         raise DatasetError(f"episodes={config.episodes}; the data has {count} of task {dataset.task!r}")
-    if wanted:
-        index = np.linspace(0, count - 1, wanted).round().astype(int)
-        dataset = replace(dataset, episodes=tuple(dataset.episodes[i] for i in index))
-    return dataset
+    return dataset.some(wanted) if wanted else dataset
 
 
 def fit_response(model: Any, sources: Sequence[Dataset], arm_steps: int) -> None:

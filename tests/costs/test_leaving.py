@@ -37,16 +37,16 @@ def mug_and(tool):
 
 
 def test_a_hand_leaves_an_object_upwards():
-    left, low = objects.left("mug"), objects.low_over("mug")
+    clear, low = objects.hand_clear("mug"), objects.hand_low("mug")
     heights = [0.05, 0.08, 0.10, 0.13]
     scenes = [mug_and((0.5, 0.1, z)) for z in heights]
-    assert [bool(left(s, {})) for s in scenes] == [False, False, False, True]
+    assert [bool(clear(s, {})) for s in scenes] == [False, False, False, True]
     shares = [float(low(s, {})) for s in scenes]
     assert shares == sorted(shares, reverse=True) and shares[0] > 0.5 and shares[-1] == 0.0
 
 
 def test_a_hand_that_is_beside_an_object_has_left_it():
-    assert bool(objects.left("mug")(mug_and((0.5, -0.1, 0.05)), {}))
+    assert bool(objects.hand_clear("mug")(mug_and((0.5, -0.1, 0.05)), {}))
 
 
 def drawer_scene(tool, opening, way):

@@ -21,11 +21,11 @@ def test_a_block_asked_for_some_tokens_gives_the_same():
 def test_a_token_reads_what_it_sees_alone():
     torch.manual_seed(0)
     block, tokens = Block(32, 4, 2), torch.randn(2, 6, 32)
-    seen = torch.ones(2, 6, 6)
-    seen[0, :3, 4] = 0.0
-    torch.testing.assert_close(block(tokens, seen=torch.ones(2, 6, 6)), block(tokens))
-    blind, other = block(tokens, seen=seen), tokens.clone()
+    visible = torch.ones(2, 6, 6)
+    visible[0, :3, 4] = 0.0
+    torch.testing.assert_close(block(tokens, visible=torch.ones(2, 6, 6)), block(tokens))
+    blind, other = block(tokens, visible=visible), tokens.clone()
     other[:, 4] = 5.0
-    changed = (block(other, seen=seen) - blind).abs().amax(-1) > 1e-6
+    changed = (block(other, visible=visible) - blind).abs().amax(-1) > 1e-6
     assert changed.tolist() == [[False, False, False, True, True, True], [True] * 6]
-    torch.testing.assert_close(block(tokens, read=2, seen=seen), blind[:, :2])
+    torch.testing.assert_close(block(tokens, read=2, visible=visible), blind[:, :2])

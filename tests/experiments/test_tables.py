@@ -69,7 +69,7 @@ def test_a_shortened_row_is_another_piece(tiny, tmp_path):
 def test_planned_rows_have_the_objects_asked_for(tiny, data_folder, tmp_path, monkeypatch):
     asked = []
     monkeypatch.setattr(tables, "check_objects", lambda task, objects: None)
-    monkeypatch.setattr(tables, "plan_episodes", lambda model, task, episodes, objects: asked.append(objects))
+    monkeypatch.setattr(tables, "plan_episodes", lambda agent, episodes, objects: asked.append(objects))
     monkeypatch.setitem(TABLES, "plans", Table("", (replace(tiny, seeds=(0,), plan=1), replace(tiny, seeds=(1,)))))
     for objects in ("", "unseen"):
         run_table("plans", data_folder, tmp_path, objects=objects)

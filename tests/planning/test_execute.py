@@ -137,7 +137,10 @@ def test_a_killed_run_goes_on_where_it_was_and_a_folder_belongs_to_one_recipe(co
     with pytest.raises(PwmGymError, match=r"planned with {'chunk': 1}; expected {'chunk': 0}, or another folder"):
         plan([2], {"chunk": 0})
     (tmp_path / "planned-by.json").write_text("{")
-    with pytest.raises(PwmGymError, match="planned-by.json is damaged"):
+    with pytest.raises(PwmGymError, match="planned-by.json is truncated or not valid"):
+        plan([2], {"chunk": 1})
+    (tmp_path / "planned-by.json").unlink()
+    with pytest.raises(PwmGymError, match="holds runs and no planned-by.json; expected another folder"):
         plan([2], {"chunk": 1})
 
 

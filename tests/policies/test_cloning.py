@@ -81,6 +81,8 @@ def test_fewer_demonstrations_are_evenly_chosen(data_folder, tmp_path):
 def test_bad_input_is_named(folder, data_folder, tmp_path):
     with pytest.raises(PwmGymError, match="episodes=-1; expected 0"):
         clone("PickCube", data_folder, tmp_path, SMALL, episodes=-1)
+    with pytest.raises(DatasetError, match="episodes=5; .* has 4 demonstrations"):
+        clone("PickCube", data_folder, tmp_path, SMALL, episodes=5)
     with pytest.raises(DatasetError, match="is not a data set"):
         clone("PickCube", tmp_path / "none", tmp_path, SMALL)
     practice = tmp_path / "practice"

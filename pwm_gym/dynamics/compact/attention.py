@@ -26,19 +26,19 @@ class Block(nn.Module):
         self.qkv, self.out = nn.Linear(width, 3 * width), nn.Linear(width, width)
         self.mlp = nn.Sequential(nn.Linear(width, ratio * width), nn.GELU(), nn.Linear(ratio * width, width))
 
-    def forward(self, tokens: Tensor, read: int | None = None, seen: Tensor | None = None) -> Tensor:
+    def forward(self, tokens: Tensor, read: int | None = None, visible: Tensor | None = None) -> Tensor:
         """Tokens (B, T, C) -> (B, T, C), or the first ``read`` of them alone.
 
         Args:
             tokens: all that there are.
             read: how many are asked for; None asks for all.
-            seen: 1 where a token (second dimension) sees another (third), 0 where not (B, T, T); None shows all.
+            visible: 1 where a token (second dimension) sees another (third), 0 where not (B, T, T); None shows all.
         """
-        mixed = self._mixed(self.qkv(self.norm1(tokens)), read, seen)
+        mixed = self._mixed(self.qkv(self.norm1(tokens)), read, visible)
         tokens = tokens[:, :read] + self.out(mixed)
         return tokens + self.mlp(self.norm2(tokens))
 
-    def _mixed(self, qkv: Tensor, read: int | None, seen: Tensor | None) -> Tensor:
+    def _mixed(self, qkv: Tensor, read: int | None, visible: Tensor | None) -> Tensor:
         """What the first ``read`` tokens read (B, T, C) of queries, keys and values (B, T, 3 C).
 
         On a CPU PyTorch's own attention takes three times as long for so few tokens: its softmax is slow on short rows.
@@ -46,8 +46,8 @@ class Block(nn.Module):
         q, k, v = qkv.unflatten(-1, (3, self.heads, -1)).permute(2, 0, 3, 1, 4).contiguous().flatten(1, 2).unbind()
         scores = (q.shape[-1] ** -0.5 * q[:, :read]) @ k.transpose(-1, -2)  # (B heads, T, T)
         weights = scores.clamp(-_CAP, _CAP).exp()
-        if seen is not None:
-            weights = (weights.unflatten(0, (-1, self.heads)) * seen[:, None, :read]).flatten(0, 1)
+        if visible is not None:
+            weights = (weights.unflatten(0, (-1, self.heads)) * visible[:, None, :read]).flatten(0, 1)
         sums = weights @ F.pad(v, (0, 1), value=1.0)  # the last column is the softmax's denominator
         mixed = sums[..., :-1] / sums[..., -1:]
         return mixed.unflatten(0, (-1, self.heads)).transpose(1, 2).flatten(2)

@@ -38,8 +38,8 @@ class Contacts:
     """Features (B, F, P, Q) of pairs, of order 1."""
     push: Tensor
     """World-frame way (B, F, P, 3), metres, out of a partner that a mover would enter; zero elsewhere."""
-    to_robot: Tensor
-    """Smallest gap (B, F) of each mover to a link, metres, now or one step ahead; negative where they overlap."""
+    gaps: tuple[Tensor, Tensor]
+    """Smallest gaps (B, F, P), metres, now and one step ahead; negative where they overlap."""
     unsupported: Tensor
     """0 (B, F, 1) where something touches the mover, 1 where nothing is near."""
     touching: Tensor | None
@@ -105,13 +105,12 @@ class MoverContacts(nn.Module):
         turned = plan.with_walls(turns[:, 1, :count], plan.walls[:, :3, :3], 1) @ frames[:, :1, :3, :3]
         told = self._own(plan, height, place, others_rows, links_next, centre)
         told += self._partners(gap[:, :, : 2 * most], _turned(turned.transpose(-1, -2).unsqueeze(1), out[:, :, :most]))
-        to_robot = torch.minimum(lowest[:, :, : self._links], nearest[:, :, : self._links])
         clear = torch.minimum(lowest.amin(-1), height.amin((-1, -2)) - plan.floor)
         return Contacts(
             told=self.net(told),
             pairs=pairs,
             push=push,
-            to_robot=to_robot.amin(-1) if self._links else torch.full_like(clear, torch.inf),
+            gaps=(lowest[:, :, :count], nearest),
             unsupported=((clear - _HANGING) / _HANGS).clamp(0.0, 1.0).unsqueeze(-1),
             touching=touching,
         )

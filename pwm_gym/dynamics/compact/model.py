@@ -21,7 +21,7 @@ import torch
 from torch import Tensor, nn
 
 from pwm_gym.dynamics.compact.attention import Block
-from pwm_gym.dynamics.compact.contact import MoverContacts
+from pwm_gym.dynamics.compact.contact import Contacts, MoverContacts
 from pwm_gym.dynamics.compact.movers import MoverMotion, Scales
 from pwm_gym.dynamics.compact.plan import Plan
 from pwm_gym.dynamics.compact.robot import RobotForecast, RobotMotion
@@ -184,8 +184,8 @@ class CompactModel(nn.Module):
             rows.append(self._with_contacts(plan, tokens[:, plan.links :], contacts.told))
         elif len(plan.order) > plan.links:
             rows.append(tokens[:, plan.links :])
-        shown = None if contacts is None else self._seen(plan, contacts.to_robot)
-        tokens = self._attend(torch.cat(rows, 1), self._turned(action, frames[:, 0, :3, :3]), shown)
+        visible = None if contacts is None else self._visible(plan, contacts)
+        tokens = self._attend(torch.cat(rows, 1), self._turned(action, frames[:, 0, :3, :3]), visible)
 
         # Motions: the robot first, then what it moves.
         links_next, joints = self.robot.move(
@@ -234,8 +234,8 @@ class CompactModel(nn.Module):
             parts.append((part.unsqueeze(1) @ rotation).squeeze(1) if vector else part)
         return torch.cat(parts, 1) if parts else action
 
-    def _seen(self, plan: Plan, to_robot: Tensor) -> Tensor | None:
-        """Which tokens (B, T, T) of [entities, action, registers] see which, for movers at gaps (B, F) to the robot.
+    def _visible(self, plan: Plan, contacts: Contacts) -> Tensor | None:
+        """1 where of the tokens [entities, action, registers] one sees another, else 0 (B, T, T); None shows all.
 
         Links, action and registers do not see a loose object that is near and not touched: else one in a place that no
         training had, such as something small in a drawer, could stop an arm in mid-air.
@@ -243,22 +243,23 @@ class CompactModel(nn.Module):
         least, most = self.config.hidden_gaps
         if least == most or not plan.links or not plan.loose:
             return None
+        to_robot = [gap[:, : len(plan.loose), : plan.links].amin(-1) for gap in contacts.gaps]
+        gap = torch.minimum(*to_robot)
         count = len(plan.order)
         total = count + 1 + self.config.registers
-        gaps = to_robot[:, : len(plan.loose)]
-        shown = torch.ones(len(gaps), total, device=gaps.device)
-        shown[:, plan.loose_places] = ((gaps <= least) | (gaps > most)).to(shown)
-        seen = torch.ones(len(gaps), total, total, device=gaps.device)
-        seen[:, : plan.links] = seen[:, count:] = shown.unsqueeze(1)
-        return seen
+        visible = gap.new_ones(len(gap), total, total)
+        robot = gap.new_ones(len(gap), total)
+        robot[:, plan.loose_places] = ((gap <= least) | (gap > most)).to(gap)
+        visible[:, : plan.links] = visible[:, count:] = robot.unsqueeze(1)
+        return visible
 
-    def _attend(self, entities: Tensor, action: Tensor, seen: Tensor | None) -> Tensor:
-        """Entity tokens (B, P, C) after attention over [entities, action, registers], each over what it sees."""
+    def _attend(self, entities: Tensor, action: Tensor, visible: Tensor | None) -> Tensor:
+        """Entity tokens (B, P, C) after attention over [entities, action, registers], each over what is visible."""
         registers = self.register.expand(len(action), -1, -1)
         tokens = torch.cat([entities, self.action(action).unsqueeze(1), registers], 1)
         for block in self.blocks[:-1]:
-            tokens = block(tokens, seen=seen)
-        return self.norm(self.blocks[-1](tokens, read=entities.shape[1], seen=seen))
+            tokens = block(tokens, visible=visible)
+        return self.norm(self.blocks[-1](tokens, read=entities.shape[1], visible=visible))
 
     @staticmethod
     def _with_contacts(plan: Plan, tokens: Tensor, told: Tensor) -> Tensor:
