@@ -12,13 +12,13 @@ import torch
 from torch import Tensor
 
 from pwm_gym.costs import contacts
-from pwm_gym.costs.contacts import Points, across, along, level, once
+from pwm_gym.costs.contacts import Points, across, along, level, once, squared
 from pwm_gym.costs.terms import Info, Place, Term, middle, nearness
 from pwm_gym.sim.coffee_machine import (
     HOLDER_FLOOR,
     LID_JOINT,
     LID_LENGTH,
-    MACHINE_TO,
+    MACHINE_FROM,
     MUG_AHEAD,
     OPEN_ANGLE,
     POD_HEIGHT,
@@ -36,14 +36,17 @@ _PRESSED = 0.03  # of the tool from the lid's end, where it presses it down
 
 @dataclass(frozen=True)
 class Lid:
-    """Where the parts of a machine are, from its foremost and lowest points. All that is high stands at its back."""
+    """Where the parts of a machine are, from the flat wall at its back and its lowest points.
+
+    All that is high stands at its back.
+    """
 
     widest: float
     """Angle at which it is open."""
     length: float
     """From the hinge to the lid's end."""
     hinge: tuple[float, float]
-    """Of the hinge: behind the foremost point, and over the lowest."""
+    """Of the hinge: before the back, and over the lowest point."""
     holder: tuple[float, float]
     """The same of the middle of what stands in the holder."""
     mug: float
@@ -57,8 +60,8 @@ class Lid:
 COFFEE_LID = Lid(
     widest=OPEN_ANGLE,
     length=LID_LENGTH,
-    hinge=(MACHINE_TO - LID_JOINT.origin[0], LID_JOINT.origin[2]),
-    holder=(MACHINE_TO, HOLDER_FLOOR + 0.5 * POD_HEIGHT),
+    hinge=(LID_JOINT.origin[0] - MACHINE_FROM, LID_JOINT.origin[2]),
+    holder=(-MACHINE_FROM, HOLDER_FLOOR + 0.5 * POD_HEIGHT),
     mug=MUG_AHEAD,
     back=0.5 * (TOWER_TOP + RIM + 0.0125),
 )
@@ -72,16 +75,17 @@ def _front(points: Points, lid: Lid) -> Tensor:
     low = cloud[..., 2].amin(-1, keepdim=True)
     high = (cloud[..., 2] >= low + lid.back).to(cloud.dtype).unsqueeze(-1)  # (B, n, 1)
     tower = (cloud * high).sum(-2) / high.sum(-2).clamp_min(1.0)
-    return level(contacts.centre(points, lid.machine) - tower)
+    return squared(cloud, level(contacts.centre(points, lid.machine) - tower))
 
 
-def _point(points: Points, lid: Lid, behind: float, height: float) -> Tensor:
-    """Place (B, 3) amid the machine's width, ``behind`` its foremost point and ``height`` over its lowest."""
+@once
+def _point(points: Points, lid: Lid, ahead: float, height: float) -> Tensor:
+    """Place (B, 3) amid the machine's width, ``ahead`` of its back and ``height`` over its lowest point."""
     front = _front(points, lid)
     side = across(front)
-    ahead, beside = along(points[lid.machine], front), along(points[lid.machine], side)
+    back, beside = along(points[lid.machine], front).amin(-1), along(points[lid.machine], side)
     middle = 0.5 * (beside.amin(-1) + beside.amax(-1))
-    flat = front.squeeze(-1) * (ahead.amax(-1) - behind).unsqueeze(-1) + side.squeeze(-1) * middle.unsqueeze(-1)
+    flat = front.squeeze(-1) * (back + ahead).unsqueeze(-1) + side.squeeze(-1) * middle.unsqueeze(-1)
     raised = points[lid.machine][..., 2].amin(-1) + height
     return torch.cat([flat[..., :2], raised.unsqueeze(-1)], -1)
 
@@ -103,7 +107,7 @@ def before(lid: Lid, name: str) -> Place:
     """Where the mean of an object's points is when it stands before the machine, where a mug belongs."""
 
     def place(points: Points, info: Info) -> Tensor:
-        flat = _point(points, lid, lid.holder[0] - lid.mug, 0.0)
+        flat = _point(points, lid, lid.holder[0] + lid.mug, 0.0)
         height = contacts.centre(points, name)[..., 2] - points[name][..., 2].amin(-1)
         return torch.cat([flat[..., :2], flat[..., 2:] + height.unsqueeze(-1)], -1)
 
@@ -115,8 +119,8 @@ def behind(lid: Lid) -> Place:
 
     def place(points: Points, info: Info) -> Tensor:
         standing = (angle(points, lid) > _FALLS).unsqueeze(-1)
-        back = _point(points, lid, lid.hinge[0] + _BEHIND, lid.hinge[1] + _HIGH)
-        end = _point(points, lid, lid.hinge[0] - lid.length + _PRESSED, lid.hinge[1])
+        back = _point(points, lid, lid.hinge[0] - _BEHIND, lid.hinge[1] + _HIGH)
+        end = _point(points, lid, lid.hinge[0] + lid.length - _PRESSED, lid.hinge[1])
         return torch.where(standing, back, end)
 
     return place

@@ -44,6 +44,7 @@ _EMPTY = 0.001  # metres between pads that hold nothing
 _OFF_PLACE = 0.02  # metres between tool and grip place within which the fingers may shut
 _NARROW, _WIDE = 0.06, 0.08  # metres: a width that fits well, and the open Panda gripper's
 _HAND_WIDTH = 0.10  # metres from the tool to an object's centre, in the plane, at which the hand is beside it
+_FARTHEST, _FAR_SLOPE = 0.45, 0.6  # metres of a way to carry, and what a metre of one beyond them costs
 _CLEAR, _LEAVING = 0.02, 0.10  # metres over an object at which the fingers have left it, and that they have to rise
 
 
@@ -213,16 +214,20 @@ def carry_onto(name: str, target: Place, clearance: float, within: float = 0.005
     def term(points: Points, info: Info) -> Tensor:
         offset = contacts.centre(points, name) - target(points, info)
         way = way_from_above(offset, clearance, within, slope)
-        return _firmness(points, info, name) * closeness(way, 5.0, 0.45)
+        beyond = _FAR_SLOPE * (way - _FARTHEST).clamp_min(0.0)  # from there, too, it is a gain to come nearer
+        return _firmness(points, info, name) * (closeness(way, 5.0, _FARTHEST) - beyond)
 
     return term
 
 
 def aligned(name: str, target: Place) -> Term:
-    """How exactly the held object comes down on a place: 1 high on its axis, 3 in it, a quarter of that 4 mm beside."""
+    """How exactly the held object's middle comes down on a place: 1 high on its axis, 3 in it.
+
+    4 mm beside the axis it is a quarter of that.
+    """
 
     def term(points: Points, info: Info) -> Tensor:
-        offset = contacts.centre(points, name) - target(points, info)
+        offset = contacts.middle(points, name) - target(points, info)
         exact = 1.0 - torch.tanh(offset[..., :2].norm(dim=-1) / 0.004)
         low = 1.0 - torch.tanh(offset[..., 2].clamp_min(0.0) / 0.05)
         return _firmness(points, info, name) * exact * (1.0 + 2.0 * low)

@@ -21,10 +21,11 @@ from pwm_gym.costs import contacts, drawers, lids, objects
 from pwm_gym.costs.contacts import Points
 from pwm_gym.costs.drawers import Drawer
 from pwm_gym.costs.lids import Lid
-from pwm_gym.costs.motion import speed
+from pwm_gym.costs.motion import joint_speed, speed
 from pwm_gym.costs.registry import Function
 from pwm_gym.costs.stages import Stage
-from pwm_gym.costs.terms import Info, Place, Term, effort, ground_contact, tool, way_from_above
+from pwm_gym.costs.terms import Info, Place, Term, effort, ground_contact, tilt, tool, way_from_above
+from pwm_gym.robots.speeds import JointSpeeds
 
 __all__ = [
     "ALWAYS",
@@ -35,11 +36,16 @@ __all__ = [
     "open_drawer",
     "place",
     "put_in",
+    "rest",
     "take",
     "take_out",
 ]
 
-ALWAYS: Mapping[str, tuple[float, Function]] = {"ground_contact": (1.0, ground_contact), "effort": (1.0, effort)}
+ALWAYS: Mapping[str, tuple[float, Function]] = {
+    "ground_contact": (1.0, ground_contact),
+    "effort": (1.0, effort),
+    "tilt": (6.0, tilt),
+}
 """Terms that count in every stage."""
 
 _CLEAR = 0.07  # metres over a handle above which the fingers may be open, and turned in any way
@@ -73,13 +79,15 @@ def open_drawer(drawer: Drawer, least: float) -> Stage:
 
 def close_drawer(drawer: Drawer, most: float) -> Stage:
     """Go before the handle, and push until the drawer is open by ``most`` at most."""
+    shut = drawers.shut_to(drawer, most)
     return Stage(
         f"close {drawer.name}",
         {
             "approach": (1.5, _approach(drawers.before_handle(drawer), clearance=0.05)),
             "opened": (_MOVED, drawers.opened(drawer)),
         },
-        drawers.shut_to(drawer, most),
+        shut,
+        lasting=shut,
     )
 
 
@@ -169,11 +177,21 @@ def insert(name: str, lid: Lid, seated: Term) -> Stage:
 
 def close_lid(lid: Lid, most: float) -> Stage:
     """Push a standing lid over from behind, until it is open by ``most`` at most."""
-    shut = lids.shut(lid)
+    closed = lids.shut_to(lid, most)
     return Stage(
         f"close {lid.name}",
-        {"approach": (1.5, _approach(lids.behind(lid), clearance=0.09)), "shut": (-_MOVED, shut)},
-        lids.shut_to(lid, most),
+        {"approach": (1.5, _approach(lids.behind(lid), clearance=0.09)), "shut": (-_MOVED, lids.shut(lid))},
+        closed,
+        lasting=closed,
+    )
+
+
+def rest(arm: JointSpeeds, limit: float) -> Stage:
+    """Stand still, until no joint of the arm is faster than ``limit`` rad/s."""
+    return Stage(
+        "rest",
+        {"moving": (1.0, lambda points, info: (joint_speed(points, info, arm) / limit).clamp_max(3.0))},
+        lambda points, info: joint_speed(points, info, arm) <= limit,
     )
 
 

@@ -53,6 +53,7 @@ __all__ = [
     "retreat",
     "settle",
     "still",
+    "tilt",
     "tool",
     "ungrasp",
     "way_from_above",
@@ -66,6 +67,7 @@ Place = Callable[[Points, Info], Tensor]
 
 _CLEAR = 0.05  # metres over an object's centre at which open fingers clear its top
 _FULL_OPENING = 0.08  # metres between the pads of an open Panda gripper
+_UPRIGHT = 0.035  # sine of 2 degrees: a hand that points straight down, as far as its points tell
 _DOWN, _UP = 0.8, 1.5  # of a way from above: a metre too high, and a metre too low, in metres beside
 
 
@@ -253,6 +255,14 @@ def ground_contact(points: Points, info: Info) -> Tensor:
 def effort(points: Points, info: Info) -> Tensor:
     """Translations over half a unit: near the edge of the arm's reach the controller finds no pose, and stops."""
     return 4.0 * (info["action"][..., :3].norm(dim=-1) - 0.5).clamp_min(0.0).square()
+
+
+def tilt(points: Points, info: Info) -> Tensor:
+    """Sine of the angle by which the hand does not point straight down, beyond 2 degrees.
+
+    What is pulled and pushed turns the hand step by step, and what it then holds stands askew.
+    """
+    return (contacts.forward(points).squeeze(-1)[..., :2].norm(dim=-1) - _UPRIGHT).clamp_min(0.0)
 
 
 def disturbance(name: str, held: bool = True) -> Term:

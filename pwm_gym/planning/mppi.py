@@ -35,10 +35,15 @@ class MPPIConfig(SamplingConfig):
 
     @classmethod
     def fine(cls) -> MPPIConfig:
-        """Samples that refine seven times as finely, and one channel at a time: for tasks of millimetres."""
+        """Samples that refine finely, and one component at a time: for tasks of millimetres.
+
+        They turn the hand about every axis: it may have been tilted, and has to be set upright again.
+        """
         noise = ActionNoise()
-        moves, turns = (replace(kind, min_noise_scale=0.03) for kind in (noise.translation, noise.rotation))
-        return cls(noise=replace(noise, translation=moves, rotation=turns), single_channel_share=0.45)
+        moves = replace(noise.translation, min_noise_scale=0.03)
+        turns = replace(noise.rotation, sigma=(0.1, 0.1, 0.3), min_noise_scale=0.03)
+        fine = replace(noise, translation=moves, rotation=turns)
+        return cls(noise=fine, single_component_share=0.45, geometric_scales=True)
 
     @classmethod
     def paper(cls, horizon: int = 10) -> MPPIConfig:

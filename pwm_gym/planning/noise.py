@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 import torch
@@ -103,23 +104,27 @@ class ComponentNoise:
     bound: tuple[float, ...]
 
 
-def sample_mask(control: Control, samples: int, single_arm_share: float, single_channel_share: float) -> Tensor:
+def sample_mask(
+    control: Control, sigma: Sequence[float], samples: int, single_arm_share: float, single_component_share: float
+) -> Tensor:
     """Which components (S, A), bool, each sample perturbs; the others follow the last plan.
 
     Args:
-        control: says which arm and channel each component belongs to; components of no arm are always perturbed.
+        control: says which arm each component belongs to; components of no arm are always perturbed.
+        sigma: noise of each component (A,); those without any are nobody's turn.
         samples: S.
         single_arm_share: share of the samples that perturb one arm alone, each arm in turn.
-        single_channel_share: share of the samples that perturb one channel alone, each in turn; where it is not one of
-            the sample's arm, it is the only one all the same.
+        single_component_share: share of the samples that perturb one component alone, each in turn; where it is not one
+            of the sample's arm, it is the only one all the same.
     """
-    names, channels = control.arm_names, control.channels
-    arm_of = [names.index(c.arm) if c.arm else -1 for c in channels for _ in range(c.start, c.stop)]
-    channel_of = [k for k, c in enumerate(channels) for _ in range(c.start, c.stop)]
+    names = control.arm_names
+    arm_of = [names.index(c.arm) if c.arm else -1 for c in control.channels for _ in range(c.start, c.stop)]
+    noisy = [k for k, value in enumerate(sigma) if value > 0.0]
+    component_of = [noisy.index(k) if k in noisy else -1 for k in range(len(sigma))]
     of_arm = _single_mask(arm_of, len(names), samples, single_arm_share, step=1)
-    of_channel = _single_mask(channel_of, len(channels), samples, single_channel_share, step=2)
-    both = of_arm & of_channel
-    return torch.where(both.any(1, keepdim=True), both, of_channel)
+    alone = _single_mask(component_of, len(noisy), samples, single_component_share, step=2)
+    both = of_arm & alone
+    return torch.where(both.any(1, keepdim=True), both, alone)
 
 
 def _single_mask(owner: list[int], count: int, samples: int, share: float, step: int) -> Tensor:

@@ -16,6 +16,8 @@ from pwm_gym.robots import Control
 
 __all__ = ["Objective", "Planner", "SamplingConfig", "SamplingPlanner"]
 
+_FINEST = 1e-3  # smallest factor of noise that shrinks by factors
+
 Objective = Callable[[Tensor], Tensor]
 """Actions (B, S, H, A) -> costs (B, S), differentiable where the model and the cost are."""
 
@@ -58,9 +60,12 @@ class SamplingConfig:
     samples."""
     single_arm_share: float = 0.5
     """Share of the samples that perturb one arm alone, each arm in turn, where a robot has several."""
-    single_channel_share: float = 0.0
-    """Share of the samples that perturb one channel alone, each in turn: where a task asks for exact places, a good
-    turn of the hand is lost among the bad motions that come with it."""
+    single_component_share: float = 0.0
+    """Share of the samples that perturb one component alone, each in turn: where a task asks for exact places, a good
+    turn of the hand or a way straight down is lost among the bad motions that come with it."""
+    geometric_scales: bool = False
+    """Whether the samples' noise shrinks by a factor from one to the next, not by a difference, so that as many refine
+    as search wide; the finest are then not those that the stop samples replace."""
     iterations: int = 1
     """Rounds of sampling around the improved mean."""
 
@@ -83,7 +88,7 @@ class SamplingConfig:
                 raise PwmGymError(f"{name}={getattr(self, name)}; expected at least 1")
         if self.stop_samples < 0:
             raise PwmGymError(f"stop_samples={self.stop_samples}; expected 0 or more")
-        for name in ("single_arm_share", "single_channel_share"):
+        for name in ("single_arm_share", "single_component_share"):
             if not 0.0 <= getattr(self, name) <= 1.0:
                 raise PwmGymError(f"{name}={getattr(self, name)}; expected 0 to 1")
         if not 1 <= self.elites <= self.samples:
@@ -115,8 +120,8 @@ class SamplingPlanner(ABC, Generic[Config]):
         self._sigma, self._bound = tensor(noise.sigma), tensor(noise.bound)
         self._correlation = tensor(noise.correlation)
         self._fresh = (1.0 - self._correlation.square()).sqrt()
-        self._scale = self._noise_scale(control, tensor(noise.min_noise_scale))
         self._stop_samples = min(config.stop_samples, config.horizon, config.samples // 4)
+        self._scale = self._noise_scale(control, tensor(noise.min_noise_scale))
         # What standing still means: absolute targets and hands stay as they are, all else returns to its rest value.
         absolute = [c.rest is None for c in control.channels for _ in range(c.start, c.stop)]
         hands = [kind in ("gripper", "finger") for kind in control.kinds]
@@ -129,9 +134,15 @@ class SamplingPlanner(ABC, Generic[Config]):
     def _noise_scale(self, control: Control, least: Tensor) -> Tensor:
         """Factors (S, 1, A) of the samples' noise, from 1 down to ``least`` (A,); 0 for an arm that is to stay."""
         samples = self.config.samples
-        place = torch.linspace(0.0, 1.0, samples, device=least.device).unsqueeze(-1)
-        scale = 1.0 - place * (1.0 - least)
-        moves = sample_mask(control, samples, self.config.single_arm_share, self.config.single_channel_share)
+        if self.config.geometric_scales:
+            kept = samples - 1 - self._stop_samples  # the mean itself and the stop samples need no noise
+            place = (torch.arange(samples, device=least.device) / max(kept - 1, 1)).clamp_max(1.0).unsqueeze(-1)
+            scale = least.clamp_min(_FINEST) ** place
+        else:
+            place = torch.linspace(0.0, 1.0, samples, device=least.device).unsqueeze(-1)
+            scale = 1.0 - place * (1.0 - least)
+        shares = self.config.single_arm_share, self.config.single_component_share
+        moves = sample_mask(control, self._sigma.tolist(), samples, *shares)
         return (scale * moves.to(scale)).unsqueeze(1)
 
     def reset(self) -> None:

@@ -61,7 +61,11 @@ register_terms(  # minus the simulator's normalised shaped reward
 )
 register_stages(
     "coffee_plan",
-    [sequences.insert("pod", _LID, _seated), sequences.close_lid(_LID, SHUT_ANGLE)],
+    [
+        sequences.insert("pod", _LID, _seated),
+        sequences.close_lid(_LID, SHUT_ANGLE),
+        sequences.rest(JOINT_SPEEDS, _STATIC),
+    ],
     sequences.ALWAYS,
 )
 

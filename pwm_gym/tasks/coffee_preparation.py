@@ -86,6 +86,7 @@ register_stages(
         sequences.take_out("pod", _DRAWER, 0.06, until=_seated),
         sequences.insert("pod", _LID, _seated),
         sequences.close_lid(_LID, SHUT_ANGLE),
+        sequences.rest(JOINT_SPEEDS, _STATIC),
     ],
     sequences.ALWAYS,
 )

@@ -70,6 +70,7 @@ register_stages(
         sequences.open_drawer(_DRAWER, OPENED),
         sequences.put_in("mug", _DRAWER, _inside),
         sequences.close_drawer(_DRAWER, _SHUT),
+        sequences.rest(JOINT_SPEEDS, _STATIC),
     ],
     sequences.ALWAYS,
 )

@@ -1,11 +1,11 @@
-"""Letting an object go and leaving it, and reaching into a drawer, which planning costs ask for."""
+"""Carrying an object, letting it go and leaving it, and reaching into a drawer, which planning costs ask for."""
 
 import numpy as np
 import pytest
 import torch
 import trimesh
 
-from pwm_gym.costs import drawers, objects
+from pwm_gym.costs import contacts, drawers, objects, terms
 from pwm_gym.scene import sample_surface
 from pwm_gym.sim.cabinet import CABINET, DRAWER, DRAWER_JOINT, TRAY
 
@@ -47,6 +47,30 @@ def test_a_hand_leaves_an_object_upwards():
 
 def test_a_hand_that_is_beside_an_object_has_left_it():
     assert bool(objects.hand_clear("mug")(mug_and((0.5, -0.1, 0.05)), {}))
+
+
+@pytest.mark.parametrize("degrees", [0.0, 1.0, 6.0, 15.0])
+def test_a_tilted_hand_costs_what_it_is_beyond_two_degrees(degrees):
+    axis = [1.0, 2.0, 0.0]  # of no finger's
+    turn = trimesh.transformations.rotation_matrix(np.radians(degrees), axis, (0.5, 0.1, 0.3))
+    rotation, shift = (torch.as_tensor(part, dtype=torch.float32) for part in (turn[:3, :3], turn[:3, 3]))
+    points = {name: cloud @ rotation.T + shift for name, cloud in gripper((0.5, 0.1, 0.3)).items()}
+    expected = max(np.sin(np.radians(degrees)) - np.sin(np.radians(2.0)), 0.0)
+    assert float(terms.tilt(points, {})) == pytest.approx(expected, abs=0.012)
+
+
+def test_a_held_object_gains_by_coming_nearer_from_any_distance():
+    held = {**gripper((0.5, 0.1, 0.04), opening=0.06), "mug": MUG}
+    info = {"velocity": {name: torch.zeros_like(points) for name, points in held.items()}}
+    info["action"] = torch.tensor([[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0]])
+
+    def gain(distance):
+        target = contacts.centre(held, "mug") + torch.tensor([[distance, 0.0, 0.0]])
+        return float(objects.carry_onto("mug", lambda points, info: target, clearance=0.08)(held, info))
+
+    gains = [gain(distance) for distance in np.linspace(0.9, 0.0, 40)]
+    assert gains[0] > 0.0 and (np.diff(gains) > 0.005).all()
+    assert gains[-1] == pytest.approx(5.0, abs=0.6)  # of which a firm grasp gets nearly all
 
 
 def drawer_scene(tool, opening, way):

@@ -132,19 +132,29 @@ def test_one_arm_the_other_or_both_are_perturbed(share):
 
 
 @pytest.mark.parametrize("share", [0.0, 0.45, 1.0])
-def test_one_channel_alone_or_all_are_perturbed(share):
+def test_one_component_alone_or_all_that_have_noise_are_perturbed(share):
     control = get_task("PickCube").control
-    noise = ActionNoise.uniform(NoiseConfig(sigma=(0.5,), correlation=0.0))
-    config = MPPIConfig(samples=300, stop_samples=0, single_channel_share=share, noise=noise)
+    config = MPPIConfig(samples=300, stop_samples=0, single_component_share=share)
     *samples, mean = seen_by(config, control, last_action=torch.zeros(1, control.size))
-    perturbed = torch.stack(samples) - mean
-    moves = torch.stack([perturbed[..., c.slice].abs().amax((-1, -2)) > 0 for c in control.channels], -1)  # (S, 3)
+    moves = (torch.stack(samples) - mean).abs().amax(1) > 0  # (S, 7)
+    noisy = [0, 1, 2, 5, 6]  # a tool that points down turns about z alone
     alone = moves.sum(-1) == 1
-    assert (alone | moves.all(-1)).all() and alone.float().mean() == pytest.approx(share, abs=0.02)
-    for k in range(3):
-        assert (alone & moves[:, k]).float().mean() == pytest.approx(share / 3, abs=0.02)
+    assert (alone | (moves.sum(-1) == len(noisy))).all() and not moves[:, [3, 4]].any()
+    assert alone.float().mean() == pytest.approx(share, abs=0.02)
+    for k in noisy:
+        assert (alone & moves[:, k]).float().mean() == pytest.approx(share / len(noisy), abs=0.02)
     if 0.0 < share < 1.0:  # wide samples and fine ones
         assert alone[:75].float().mean() == pytest.approx(share, abs=0.06)
+
+
+def test_scales_shrink_by_factors_and_stop_samples_replace_none_of_the_finest():
+    noise = ActionNoise.uniform(NoiseConfig(sigma=(0.5,), correlation=0.0, min_noise_scale=0.01))
+    config = MPPIConfig(samples=200, stop_samples=10, geometric_scales=True, noise=noise)
+    *samples, mean = seen_by(config, SCARA, torch.zeros(1, 4))
+    size = (torch.stack(samples)[:-10] - mean).square().mean((1, 2)).sqrt()
+    first, half, last = (float(part.mean()) for part in (size[:10], size[90:100], size[-10:]))
+    assert 0.3 < first < 0.5
+    assert half == pytest.approx(0.05, rel=0.3) and last == pytest.approx(0.005, rel=0.4)
 
 
 def test_every_sample_of_several_arms_perturbs_something():
@@ -152,15 +162,15 @@ def test_every_sample_of_several_arms_perturbs_something():
         samples=300,
         stop_samples=0,
         single_arm_share=0.5,
-        single_channel_share=0.5,
+        single_component_share=0.5,
         noise=ActionNoise.uniform(NoiseConfig(sigma=(0.5,), correlation=0.0)),
     )
     *samples, mean = seen_by(config, BOTH, last_action=torch.zeros(1, 24))
     moves = (torch.stack(samples) - mean).abs().amax(1) > 0  # (S, A)
     assert moves.any(1).all()
-    channels = torch.stack([moves[:, c.slice].any(1) for c in BOTH.channels], 1).sum(1)
-    assert (channels == 1).float().mean() == pytest.approx(0.5, abs=0.03)
-    assert {int(n) for n in channels.unique()} == {1, 3, 6}  # a channel, an arm, both
+    components = moves.sum(1)
+    assert (components == 1).float().mean() == pytest.approx(0.5, abs=0.03)
+    assert {int(n) for n in components.unique()} == {1, 12, 24}  # a component, an arm, both
 
 
 def test_settings_that_do_not_fit_the_control_are_named():
