@@ -56,18 +56,13 @@ def observation_space(layout: Layout, goal_size: int) -> spaces.Space[Any]:
 
 def observe(state: State, goal: Tensor) -> dict[str, Tensor]:
     """Observations (B, ...) of a state (B,), clipped to the observation space; fresh tensors."""
-    now, before, earlier = (state.points(k) for k in range(3))
+    points, velocity, previous = state.motion()
     return {
-        "points": _clipped(now, BOUND),
-        "velocity": _clipped(now - before, _SPEED),
-        "previous_velocity": _clipped(before - earlier, _SPEED),
-        "goal": _clipped(goal, BOUND),
+        "points": points.clamp_(-BOUND, BOUND),
+        "velocity": velocity.clamp_(-_SPEED, _SPEED),
+        "previous_velocity": previous.clamp_(-_SPEED, _SPEED),
+        "goal": goal.clamp(-BOUND, BOUND),
     }
-
-
-def _clipped(value: Tensor, bound: float) -> Tensor:
-    """A contiguous copy within [-bound, bound]."""
-    return value.clamp(-bound, bound).contiguous()
 
 
 def first_entities(state: State, layout: Layout) -> State:

@@ -53,6 +53,9 @@ class State(Protocol):
     def previous_velocity(self) -> Tensor:
         """v_{t-1} (..., N, 3)."""
 
+    def motion(self) -> tuple[Tensor, Tensor, Tensor]:
+        """Points, v_t and v_{t-1}, each (..., N, 3): fresh and contiguous, for whoever keeps them."""
+
     def entity(self, name: str, step: int = 0) -> Tensor:
         """World-frame points (..., n, 3) of one entity, ``step`` (0, 1 or 2) steps ago."""
 
@@ -110,6 +113,21 @@ class RigidState:
     def previous_velocity(self) -> Tensor:
         """v_{t-1} (..., N, 3)."""
         return self.points(1) - self.points(2)
+
+    def motion(self) -> tuple[Tensor, Tensor, Tensor]:
+        """Points, v_t and v_{t-1}, each (..., N, 3), fresh and contiguous.
+
+        Points are linear in their entity's pose, so a difference of poses moves the clouds to the velocities.
+        """
+        now, before, earlier = self.frames.unbind(-4)
+        return self._placed(now), self._placed(now - before), self._placed(before - earlier)
+
+    def _placed(self, poses: Tensor) -> Tensor:
+        """Clouds (..., N, 3) moved by poses (..., E, 4, 4), or by differences of them."""
+        placed = torch.empty((*poses.shape[:-3], *self.clouds.shape[-2:]), dtype=poses.dtype, device=poses.device)
+        for i, entity in enumerate(self.layout):
+            placed[..., entity.slice, :] = transform(poses[..., i, :, :], self.clouds[..., entity.slice, :])
+        return placed
 
     def entity(self, name: str, step: int = 0) -> Tensor:
         """World-frame points (..., n, 3) of one entity, ``step`` (0, 1 or 2) steps ago."""
@@ -182,6 +200,11 @@ class PointState:
     def previous_velocity(self) -> Tensor:
         """v_{t-1} (..., N, 3)."""
         return self.frames[..., 1, :, :] - self.frames[..., 2, :, :]
+
+    def motion(self) -> tuple[Tensor, Tensor, Tensor]:
+        """Points, v_t and v_{t-1}, each (..., N, 3), fresh and contiguous."""
+        points = self.points().clone(memory_format=torch.contiguous_format)
+        return points, self.velocity().contiguous(), self.previous_velocity().contiguous()
 
     def entity(self, name: str, step: int = 0) -> Tensor:
         """World-frame points (..., n, 3) of one entity, ``step`` (0, 1 or 2) steps ago."""
