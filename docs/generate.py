@@ -7,8 +7,33 @@ from pathlib import Path
 
 from pwm_gym.envs import ModelEnv, ModelVectorEnv, SimEnv
 from pwm_gym.tasks import TASKS
-from pwm_gym.wrappers import EntityPoses, FlattenPoints, RecordRollout, SB3VecEnv, Twin
+from pwm_gym.wrappers import (
+    ActionChunk,
+    Completed,
+    CostFunction,
+    EntityPoses,
+    FlattenPoints,
+    RecordRollout,
+    SB3VecEnv,
+    Subsample,
+    Twin,
+    UncertaintyPenalty,
+    vector,
+)
 
+WRAPPERS = (
+    Twin,
+    FlattenPoints,
+    EntityPoses,
+    Subsample,
+    Completed,
+    CostFunction,
+    ActionChunk,
+    UncertaintyPenalty,
+    RecordRollout,
+    SB3VecEnv,
+)
+BATCH_WRAPPERS = (vector.CostFunction, vector.Subsample, vector.UncertaintyPenalty)
 PAGE = Path(__file__).parent / "environments.md"
 
 
@@ -23,8 +48,11 @@ def page() -> str:
     for env in (ModelEnv, ModelVectorEnv, SimEnv):
         lines += ["", f"# {env.__name__}", "", inspect.getdoc(env) or ""]
     lines += ["", "# Wrappers"]
-    for wrapper in (Twin, FlattenPoints, EntityPoses, RecordRollout, SB3VecEnv):
+    for wrapper in WRAPPERS:
         lines += ["", f"## {wrapper.__name__}", "", inspect.getdoc(wrapper) or ""]
+    lines += ["", "# Wrappers of the native batch", "", "In `pwm_gym.wrappers.vector`."]
+    for batched in BATCH_WRAPPERS:
+        lines += ["", f"## vector.{batched.__name__}", "", inspect.getdoc(batched) or ""]
     return "\n".join(lines) + "\n"
 
 

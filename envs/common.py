@@ -162,12 +162,17 @@ class Rules:
     """
 
     def __init__(self, task: Task, cost: str | Callable[..., Tensor] | None, grasp: str | None) -> None:
+        self._task, self._grasp_name = task, grasp
         self.cost: Cost = get_cost(task.cost if cost is None else cost)
         self.grasp = get_grasp(task.grasp if grasp is None else grasp)
         self.success = get_success(task.success)
         planned = get_cost(task.plan_cost)
         staged = [c for c in (self.cost, planned) if isinstance(c, StagedCost)]
         self.stages: StagedCost | None = staged[0] if staged else None
+
+    def with_cost(self, cost: str | Callable[..., Tensor] | None) -> Rules:
+        """The same rules with another cost."""
+        return Rules(self._task, cost, self._grasp_name)
 
     @property
     def stage_names(self) -> tuple[str, ...]:

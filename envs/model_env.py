@@ -11,7 +11,7 @@ from gymnasium.utils import EzPickle
 from gymnasium.vector import AutoresetMode
 from torch import Tensor
 
-from pwm_gym.envs.common import check_actions
+from pwm_gym.envs.common import Rules, check_actions
 from pwm_gym.envs.model_vector_env import ModelVectorEnv
 from pwm_gym.scene import Entity, Scene, State
 
@@ -94,9 +94,22 @@ class ModelEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
             autoreset_mode=AutoresetMode.DISABLED,
         )
         self.render_mode = render_mode
-        self.task, self.model, self.rules = self.vector.task, self.vector.model, self.vector.rules
+        self.task, self.model = self.vector.task, self.vector.model
         self.action_space = self.vector.single_action_space
         self.observation_space = self.vector.single_observation_space
+
+    @property
+    def rules(self) -> Rules:
+        """Reward, success and grasp."""
+        return self.vector.rules
+
+    def set_cost(self, cost: str | Callable[..., Tensor] | None) -> None:
+        """Reward by another cost from now on, a registered or a callable one; stages begin anew."""
+        self.vector.set_cost(cost)
+
+    def synchronise(self, scene: Scene) -> None:
+        """Go on from another scene; the goal, the stage and the time that has passed stay."""
+        self.vector.synchronise(scene)
 
     @property
     def entities(self) -> tuple[Entity, ...]:

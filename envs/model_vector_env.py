@@ -283,6 +283,19 @@ class ModelVectorEnv(EzPickle, gym.vector.VectorEnv[dict[str, np.ndarray], np.nd
         judgement = self._judge()
         return self._finish(judgement, escaped.cpu().numpy() & ~restarted, restarted)
 
+    def set_cost(self, cost: str | Callable[..., Tensor] | None) -> None:
+        """Reward by another cost from now on, a registered or a callable one; stages begin anew."""
+        self.rules, self._stage = self.rules.with_cost(cost), None
+
+    def synchronise(self, scene: Scene | Sequence[Scene]) -> None:
+        """Go on from other scenes, one for all or one each; goals, stages and the time that has passed stay."""
+        every = np.ones(self.num_envs, bool)
+        scenes = self._scenes(scene, every)
+        self._check_layouts(scenes, every)
+        self._state = self.model.prepare(batch_state(scenes, self.device))
+        actions = np.stack([last_action(s, self.task.control) for s in scenes])
+        self._action = torch.as_tensor(actions, device=self.device)
+
     def resume(self) -> None:
         """Go on after an episode's end, as Gymnasium's single environments may."""
         self._done[:] = False

@@ -148,6 +148,14 @@ class SimEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
         self._stage: Tensor | None = None  # (1,), where the task is a sequence of stages
         self._renderer: SceneRenderer | None = None
 
+    def set_cost(self, cost: str | Callable[..., Tensor] | None) -> None:
+        """Reward by another cost from now on, a registered or a callable one; stages begin anew."""
+        self.rules, self._stage = self.rules.with_cost(cost), None
+
+    def set_observation(self, observation: str, camera: CameraConfig | Mapping[str, Any] | str | None = None) -> None:
+        """Observe otherwise from the next reset on; arguments and errors as of the constructor."""
+        self._observation = build_observation_model(observation, self.task, CameraConfig.of(camera))
+
     @property
     def entities(self) -> tuple[Entity, ...]:
         """Entities and their slices of the points."""

@@ -1,15 +1,33 @@
-"""Wrappers: twins side by side, observations for policies, recording, stable-baselines3."""
+"""Wrappers: twins side by side, observations, costs, chunks, caution, recording, stable-baselines3.
+
+Of the native batch: :mod:`pwm_gym.wrappers.vector`.
+"""
 
 from typing import TYPE_CHECKING, Any
 
-from pwm_gym.wrappers.observations import EntityPoses, FlattenPoints
+from pwm_gym.wrappers.chunks import ActionChunk
+from pwm_gym.wrappers.observations import EntityPoses, FlattenPoints, Subsample
 from pwm_gym.wrappers.record import RecordRollout
+from pwm_gym.wrappers.settings import Completed, CostFunction
 from pwm_gym.wrappers.twin import Twin, divergence
+from pwm_gym.wrappers.uncertainty import UncertaintyPenalty
 
 if TYPE_CHECKING:
     from pwm_gym.wrappers.sb3 import SB3VecEnv
 
-__all__ = ["EntityPoses", "FlattenPoints", "RecordRollout", "SB3VecEnv", "Twin", "divergence"]
+__all__ = [
+    "ActionChunk",
+    "Completed",
+    "CostFunction",
+    "EntityPoses",
+    "FlattenPoints",
+    "RecordRollout",
+    "SB3VecEnv",
+    "Subsample",
+    "Twin",
+    "UncertaintyPenalty",
+    "divergence",
+]
 
 
 def __getattr__(name: str) -> Any:

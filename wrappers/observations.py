@@ -8,11 +8,13 @@ import gymnasium as gym
 import numpy as np
 from gymnasium.utils import RecordConstructorArgs
 
-from pwm_gym.scene import POSE_FEATURES, pose_features
+from pwm_gym.errors import PwmGymError
+from pwm_gym.scene import POSE_FEATURES, Layout, pose_features
 
-__all__ = ["EntityPoses", "FlattenPoints"]
+__all__ = ["CLOUDS", "EntityPoses", "FlattenPoints", "Subsample", "subsampled"]
 
-_KEYS = ("points", "velocity", "previous_velocity", "goal")
+CLOUDS = ("points", "velocity", "previous_velocity")
+_KEYS = (*CLOUDS, "goal")
 
 
 class FlattenPoints(gym.ObservationWrapper[np.ndarray, np.ndarray, dict[str, np.ndarray]], RecordConstructorArgs):
@@ -59,3 +61,50 @@ class EntityPoses(gym.ObservationWrapper[np.ndarray, np.ndarray, dict[str, np.nd
         """The vector (12 E + G,)."""
         base: Any = self.env.unwrapped
         return pose_features(base.observed_state, base.goal)[0].cpu().numpy().clip(-2.0, 2.0)
+
+
+def subsampled(space: gym.spaces.Space[Any], layout: Layout, points: int) -> tuple[gym.spaces.Dict, np.ndarray]:
+    """The space of observations with fewer points, and which of them stay (points,): the first of each entity's.
+
+    Raises:
+        PwmGymError: the space has no clouds of points, or not so many.
+    """
+    if not isinstance(space, gym.spaces.Dict) or not all(key in space.spaces for key in CLOUDS):
+        raise PwmGymError(f"Subsample needs a Dict with {', '.join(CLOUDS)}; got {type(space).__name__}")
+    few = layout.resize(points)
+    kept = np.concatenate([np.arange(f.start, f.start + e.points) for f, e in zip(layout, few, strict=True)])
+    spaces = dict(space.spaces)
+    for key in CLOUDS:
+        box: Any = space.spaces[key]
+        spaces[key] = gym.spaces.Box(box.low[..., kept, :], box.high[..., kept, :], dtype=np.float32)
+    return gym.spaces.Dict(spaces), kept
+
+
+class Subsample(
+    gym.ObservationWrapper[dict[str, np.ndarray], np.ndarray, dict[str, np.ndarray]], RecordConstructorArgs
+):
+    """Shows ``points`` points of the scene: each entity's first, in proportion to what it has.
+
+    The world keeps all of its points: costs and the model read what they did. ``entities`` has the new slices.
+
+    Args:
+        env: environment that shows clouds.
+        points: number of points of a scene in all.
+
+    Example:
+        >>> env = Subsample(gym.make("pwm/PickCube-v0"), 256)
+        >>> env.observation_space["points"].shape
+        (256, 3)
+    """
+
+    def __init__(self, env: gym.Env[dict[str, np.ndarray], np.ndarray], points: int) -> None:
+        RecordConstructorArgs.__init__(self, points=points)
+        gym.ObservationWrapper.__init__(self, env)
+        base: Any = env.unwrapped
+        layout = Layout(base.entities)
+        self.observation_space, self._kept = subsampled(env.observation_space, layout, points)
+        self.entities = layout.resize(points).entities
+
+    def observation(self, observation: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """The observation with the points that stay."""
+        return {k: v[..., self._kept, :] if k in CLOUDS else v for k, v in observation.items()}

@@ -61,17 +61,22 @@ class Twin(gym.Wrapper[dict[str, np.ndarray], np.ndarray, dict[str, np.ndarray],
     Args:
         env: model environment.
         twin: simulator environment of the same task, or the id or the spec (as JSON, too) to make it from.
+        resync: number of steps after which the model goes on from the simulator's scene, again and again, so that
+            ``info["divergence"]`` is of predictions of at most so many; None never does.
     """
 
     def __init__(
         self,
         env: gym.Env[dict[str, np.ndarray], np.ndarray],
         twin: gym.Env[dict[str, np.ndarray], np.ndarray] | EnvSpec | str,
+        resync: int | None = None,
     ) -> None:
+        if resync is not None and (isinstance(resync, bool) or not isinstance(resync, int) or resync < 1):
+            raise PwmGymError(f"resync={resync!r}; expected a whole number of at least 1, or None")
         if not isinstance(twin, gym.Env):
             is_json = isinstance(twin, str) and twin.lstrip().startswith("{")
             twin = gym.make(EnvSpec.from_json(twin) if is_json else twin)  # type: ignore[arg-type]
-        RecordConstructorArgs.__init__(self, twin=_recorded(twin.spec))
+        RecordConstructorArgs.__init__(self, twin=_recorded(twin.spec), resync=resync)
         gym.Wrapper.__init__(self, env)
         model, simulator = env.unwrapped, twin.unwrapped
         if not isinstance(model, ModelEnv) or not isinstance(simulator, SimEnv):
@@ -83,6 +88,7 @@ class Twin(gym.Wrapper[dict[str, np.ndarray], np.ndarray, dict[str, np.ndarray],
                 f"{simulator.task.name} with {simulator.layout.points}"
             )
         self.twin, self._model, self._simulator = twin, model, simulator
+        self.resync, self._steps = resync, 0
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -91,10 +97,14 @@ class Twin(gym.Wrapper[dict[str, np.ndarray], np.ndarray, dict[str, np.ndarray],
         _, twin_info = self.twin.reset(seed=seed, options=options)
         scene: Scene = self._simulator.scene()
         observation, info = self.env.reset(seed=seed, options={"scene": scene})
+        self._steps = 0
         return observation, self._with_divergence(info, twin_info, 0.0)
 
     def step(self, action: np.ndarray) -> tuple[dict[str, np.ndarray], Any, bool, bool, dict[str, Any]]:
         """Step both; the simulator goes on after its own success until the model's episode ends."""
+        if self.resync is not None and self._steps and self._steps % self.resync == 0:
+            self._model.synchronise(self._simulator.scene())
+        self._steps += 1
         _, twin_reward, twin_ended, twin_late, twin_info = self.twin.step(action)
         observation, reward, terminated, truncated, info = self.env.step(action)
         twin_info = {**twin_info, "reward": twin_reward, "terminated": twin_ended, "truncated": twin_late}

@@ -9,6 +9,7 @@ holds ``goal`` (B, G), ``action`` (B, A), ``grasped`` (B,), ``velocity[name]`` (
 from __future__ import annotations
 
 import inspect
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from types import SimpleNamespace
@@ -17,6 +18,7 @@ from typing import Any, Self, TypeVar
 import torch
 from torch import Tensor
 
+from pwm_gym.costs.expressions import is_sum, parse_sum
 from pwm_gym.errors import PwmGymError, look_up
 from pwm_gym.scene import EntityPoints, RigidState, State
 
@@ -74,6 +76,40 @@ class Cost:
         if taken := sorted({*terms} & {*self.terms}):
             raise ValueError(f"cost {self.name!r} has a term {taken[0]!r} already")
         return replace(self, terms={**self.terms, **terms})
+
+    def __mul__(self, weight: float) -> Cost:
+        """This cost, every term ``weight`` times as heavy.
+
+        Raises:
+            PwmGymError: a weight that is not finite, or a sequence of stages.
+        """
+        self._check_plain()
+        if isinstance(weight, bool) or not isinstance(weight, int | float) or not math.isfinite(weight):
+            raise PwmGymError(f"weight {weight!r} of cost {self.name!r}; expected a finite number")
+        if weight == 1:
+            return self
+        return Cost(f"{weight:g} * {self.name}", {name: (weight * w, f) for name, (w, f) in self.terms.items()})
+
+    __rmul__ = __mul__
+
+    def __add__(self, other: Cost) -> Cost:
+        """The sum of both; of a term that both have the second is called after its cost.
+
+        Raises:
+            PwmGymError: one of them is a sequence of stages.
+        """
+        if not isinstance(other, Cost):
+            return NotImplemented
+        self._check_plain()
+        other._check_plain()
+        terms = dict(self.terms)
+        for name, term in other.terms.items():
+            terms[f"{other.name}: {name}" if name in terms else name] = term
+        return Cost(f"{self.name} + {other.name}", terms)
+
+    def _check_plain(self) -> None:
+        if type(self) is not Cost:
+            raise PwmGymError(f"cost {self.name!r} is a sequence of stages; only plain costs can be weighted and added")
 
     def _checked(self, name: str, function: Function, points: Points, info: Info) -> Tensor:
         batch = len(info["action"])
@@ -135,16 +171,20 @@ def register_terms(name: str, terms: Mapping[str, tuple[float, Function]]) -> Co
 
 
 def get_cost(cost: str | Function | Cost) -> Cost:
-    """The cost called ``cost``, or a checked cost of a callable.
+    """The cost called ``cost``, a weighted sum such as ``"0.7 * reach + 0.3 * place"``, or a callable's checked cost.
 
     Raises:
         UnknownNameError: listing the known costs and the nearest one.
+        PwmGymError: a sum that cannot be read, or one of a sequence of stages.
     """
     if isinstance(cost, Cost):
         return cost
     if callable(cost):
         name = getattr(cost, "__name__", "cost")
         return Cost(name, {name: (1.0, cost)})
+    if cost not in COSTS and is_sum(cost):
+        parts = [weight * look_up("cost", name, COSTS) for weight, name in parse_sum(cost)]
+        return sum(parts[1:], start=parts[0])
     return look_up("cost", cost, COSTS)
 
 

@@ -178,3 +178,46 @@ def test_what_a_cost_writes_into_is_its_own(form):
         value.fill_(7.0)
     for now, then in zip((*state.tensors, goal, action), before, strict=True):
         assert torch.equal(now, then)
+
+
+def gap(points, info):
+    return (points["cube"].mean(-2) - points["hand"].mean(-2)).norm(dim=-1)
+
+
+def test_costs_are_weighted_and_added_as_objects_and_as_text(costs, view):
+    register_cost("of_height")(height)
+    register_cost("of_gap")(gap)
+    expected = 0.7 * height(*view) - 2.5 * gap(*view)
+    summed = 0.7 * get_cost("of_height") + -2.5 * get_cost("of_gap")
+    for cost in (summed, get_cost("0.7 * of_height + -2.5 * of_gap"), get_cost(summed)):
+        torch.testing.assert_close(cost(*view), expected)
+        assert list(cost.terms) == ["of_height", "of_gap"]
+    assert summed.name == "0.7 * of_height + -2.5 * of_gap"
+    torch.testing.assert_close(get_cost("of_gap + .5 * of_gap")(*view), 1.5 * gap(*view))
+    assert list(get_cost("of_gap + .5 * of_gap").terms) == ["of_gap", "0.5 * of_gap: of_gap"]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("0.7 *", r"cost '0.7 \*': cannot read '0.7 \*'; expected e.g."),
+        ("2 * 3", "cannot read '2 \\* 3'"),
+        ("of_height + ", "cannot read ''; expected e.g."),
+        ("of_height + 2 * of_hight", "unknown cost 'of_hight'.*Did you mean 'of_height'"),
+        ("0.5 * coffee_plan", "cost 'coffee_plan' is a sequence of stages; only plain costs"),
+        ("of_height + coffee_plan", "cost 'coffee_plan' is a sequence of stages; only plain costs"),
+        ("1e999 * of_height", "weight inf of cost 'of_height'; expected a finite number"),
+    ],
+)
+def test_sums_that_cannot_be_read(costs, text, message):
+    register_cost("of_height")(height)
+    with pytest.raises(PwmGymError, match=message):
+        get_cost(text)
+
+
+def test_weights_are_finite_numbers():
+    for weight in (float("nan"), True, "2"):
+        with pytest.raises(PwmGymError, match=r"weight .* of cost 'pick_cube'; expected a finite number"):
+            get_cost("pick_cube") * weight
+    with pytest.raises(TypeError):
+        get_cost("pick_cube") + 1.0

@@ -9,7 +9,7 @@ import pytest
 
 import pwm_gym
 from pwm_gym import registration
-from pwm_gym.costs import COSTS, GRASPS, SUCCESSES
+from pwm_gym.costs import COSTS, GRASPS, SUCCESSES, get_cost
 from pwm_gym.errors import UnknownNameError
 from pwm_gym.tasks import TASKS, Task, get_task, register_task
 
@@ -32,10 +32,10 @@ def clean():
 
 @pytest.fixture
 def plugins(monkeypatch):
-    """``plugins(value, ...)``: installed packages have these entry points for tasks."""
+    """``plugins(value, ...)``: installed packages have these entry points, for tasks or for another group."""
 
-    def install(*values):
-        points = [EntryPoint(f"plugin{k}", value, registration.ENTRY_POINTS) for k, value in enumerate(values)]
+    def install(*values, group=registration.ENTRY_POINTS):
+        points = [EntryPoint(f"plugin{k}", value, group) for k, value in enumerate(values)]
         monkeypatch.setattr(registration, "entry_points", lambda group: [p for p in points if p.group == group])
 
     return install
@@ -105,6 +105,32 @@ def test_a_broken_entry_point_is_left_out_with_a_warning(clean, plugins, monkeyp
     with pytest.warns(UserWarning, match=r"'plugin0' \(no_such_package:TASK\) are left out: No module named"):
         pwm_gym.register_envs()
     assert set(IDS) <= set(gym.registry)
+
+
+def height(points, info):
+    """A plug-in's cost."""
+    return points["cube"][..., 2].mean(-1)
+
+
+def test_an_entry_point_brings_its_cost(clean, costs, plugins, monkeypatch):
+    monkeypatch.setattr(pwm_gym.tasks, "from_plugin", height, raising=False)
+    plugins("pwm_gym.tasks:from_plugin", group=registration.COST_ENTRY_POINTS)
+    pwm_gym.register_envs()
+    pwm_gym.register_envs()  # which is harmless
+    assert costs["plugin0"].terms == {"plugin0": (1.0, height)}
+    assert get_cost("0.5 * plugin0 + pick_cube").name == "0.5 * plugin0 + pick_cube"
+
+
+@pytest.mark.parametrize(
+    ("found", "message"), [(3, "it names 3; expected a cost function or a module"), (None, "it names None")]
+)
+def test_an_entry_point_that_is_no_cost_is_left_out_with_a_warning(clean, costs, plugins, monkeypatch, found, message):
+    monkeypatch.setattr(pwm_gym.tasks, "from_plugin", found, raising=False)
+    plugins("pwm_gym.tasks:from_plugin", group=registration.COST_ENTRY_POINTS)
+    before = dict(costs)
+    with pytest.warns(UserWarning, match=rf"costs of entry point 'plugin0' .* are left out: {message}"):
+        pwm_gym.register_envs()
+    assert costs == before
 
 
 def test_an_installed_packages_task_is_there_in_a_fresh_process(tmp_path):

@@ -1,0 +1,99 @@
+"""The same wrappers for the native batch, ``gym.make_vec``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.vector.utils import batch_space
+from torch import Tensor
+
+from pwm_gym.envs.model_vector_env import ModelVectorEnv
+from pwm_gym.errors import PwmGymError
+from pwm_gym.scene import Layout
+from pwm_gym.wrappers.observations import CLOUDS, subsampled
+from pwm_gym.wrappers.uncertainty import check_penalty, total_error
+
+__all__ = ["CostFunction", "Subsample", "UncertaintyPenalty"]
+
+
+def _native(env: gym.vector.VectorEnv[Any, Any, Any], name: str) -> ModelVectorEnv:
+    """The batch within ``env``."""
+    base = env.unwrapped
+    if not isinstance(base, ModelVectorEnv):
+        raise PwmGymError(f"{name} wraps a ModelVectorEnv; got {type(base).__name__}")
+    return base
+
+
+class CostFunction(gym.vector.VectorWrapper):
+    """As :class:`pwm_gym.wrappers.CostFunction`, of all environments.
+
+    Args:
+        env: native batch.
+        cost: a registered cost, or a callable ``(points, info) -> (B,)``.
+    """
+
+    def __init__(self, env: gym.vector.VectorEnv[Any, Any, Any], cost: str | Callable[..., Tensor]) -> None:
+        super().__init__(env)
+        _native(env, "CostFunction").set_cost(cost)
+
+
+class Subsample(gym.vector.VectorWrapper):
+    """As :class:`pwm_gym.wrappers.Subsample`: observations, and the last ones of ended episodes, have fewer points.
+
+    Args:
+        env: native batch.
+        points: number of points of a scene in all.
+    """
+
+    def __init__(self, env: gym.vector.VectorEnv[Any, Any, Any], points: int) -> None:
+        super().__init__(env)
+        layout = Layout(_native(env, "Subsample").entities)
+        self.single_observation_space, self._kept = subsampled(env.single_observation_space, layout, points)
+        self.observation_space = batch_space(self.single_observation_space, env.num_envs)
+        self.entities = layout.resize(points).entities
+
+    def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """First observations (num_envs, ...)."""
+        observation, info = self.env.reset(seed=seed, options=options)
+        return self._few(observation), info
+
+    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        """One step of every environment."""
+        observation, reward, terminated, truncated, info = self.env.step(actions)
+        if "final_obs" in info:
+            info = {**info, "final_obs": self._few(info["final_obs"])}
+        return self._few(observation), reward, terminated, truncated, info
+
+    def _few(self, observation: dict[str, Any]) -> dict[str, Any]:
+        return {k: v[..., self._kept, :] if k in CLOUDS else v for k, v in observation.items()}
+
+
+class UncertaintyPenalty(gym.vector.VectorWrapper):
+    """As :class:`pwm_gym.wrappers.UncertaintyPenalty`, without a limit: autoreset is the batch's own.
+
+    Args:
+        env: native batch whose world model tells its expected error.
+        weight: reward for a metre of expected error, all entities together.
+    """
+
+    def __init__(self, env: gym.vector.VectorEnv[Any, Any, Any], weight: float) -> None:
+        super().__init__(env)
+        check_penalty(weight)
+        self.weight = weight
+
+    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        """One step of every environment; the error of an episode's last step counts, not that of the next one's."""
+        observation, reward, terminated, truncated, info = self.env.step(actions)
+        error = np.asarray(total_error(info))
+        if "final_info" in info:
+            error = np.where(info["_final_info"], total_error(info["final_info"]), error)
+        penalty = self.weight * error.astype(np.float32)
+        return observation, reward - self._like(reward, penalty), terminated, truncated, info
+
+    @staticmethod
+    def _like(reward: Any, penalty: np.ndarray) -> Any:
+        """The penalty as an array or a tensor, as the reward is."""
+        return reward.new_tensor(penalty) if isinstance(reward, Tensor) else penalty
