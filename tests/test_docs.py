@@ -47,6 +47,12 @@ def test_a_task_of_ones_own_is_one_short_file(monkeypatch, tmp_path, kept_regist
     assert names["observation"]["points"].shape == (1200, 3)
 
 
+def test_a_cost_of_ones_own_rewards_environments_and_batches(kept_registries):
+    names = run_page("docs/own_cost.md")
+    assert names["env"].unwrapped.rules.cost.name == "lift_cube"
+    assert names["many"].unwrapped.rules.cost.name == "reach_cube"
+
+
 def test_a_sequence_of_ones_own_goes_from_stage_to_stage(kept_registries):
     assert list(dict.fromkeys(run_page("docs/stages.md")["stages"])) == ["left", "back", "finished"]
 

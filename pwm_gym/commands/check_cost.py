@@ -6,9 +6,16 @@ import importlib.util
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pwm_gym.errors import PwmGymError
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from pwm_gym.costs import Cost
+    from pwm_gym.scene import RigidState
+    from pwm_gym.tasks import Task
 
 __all__ = ["CheckCost", "find_cost"]
 
@@ -18,9 +25,13 @@ class CheckCost:
     """Check a cost function of your own on real scenes: shape, values, gradient and batch independence."""
 
     cost: str
-    """A registered name, or "file.py:function"."""
+    """A registered name, a weighted sum such as "0.7 * reach + 0.3 * place", or "file.py:function"."""
     task: str = "PickCube"
     """Registered task."""
+    picture: Path | None = None
+    """PNG to draw the cost into: over a scene of the checkpoint's bank, as one of its entities is moved."""
+    move: str | None = None
+    """Entity that is moved; None moves the first hand."""
 
     def run(self) -> None:
         """Print what the cost gives; an error names what is wrong."""
@@ -49,6 +60,17 @@ class CheckCost:
             raise PwmGymError(f"cost {cost.name!r} of a scene depends on its batch: {alone} alone, {total[:1]} among 8")
         smooth = total.requires_grad and bool(torch.autograd.grad(total.sum(), frames)[0].abs().sum() > 0)
         print(f"cost {cost.name!r} is fine on 8 scenes; {'differentiable' if smooth else 'without a gradient here'}")
+        if self.picture is not None:
+            first = batch_state([bank.scene(0)])
+            self._draw(self.picture, task, cost, first, goal[:1], action[:1])
+
+    def _draw(self, path: Path, task: Task, cost: Cost, state: RigidState, goal: Tensor, action: Tensor) -> None:
+        from pwm_gym.costs import get_grasp
+        from pwm_gym.viewer.cost_map import cost_maps, draw_cost_maps
+
+        entity = self.move or task.layout.names[task.layout.hands[0]]
+        draw_cost_maps(path, cost_maps(cost, get_grasp(task.grasp), state, goal, action, entity), cost, entity)
+        print(f"  {path}")
 
 
 def find_cost(name: str) -> str | Callable[..., Any]:

@@ -227,13 +227,13 @@ class Layout:
 
     def depth(self, index: int) -> int:
         """Number of entities that the one at ``index`` hangs on."""
-        return len(self._ancestors(index))
+        return len(self.ancestors(index))
 
     def root(self, index: int) -> int:
         """Position of what the entity at ``index`` hangs on in the end; its own where that is the world."""
-        return (index, *self._ancestors(index))[-1]
+        return (index, *self.ancestors(index))[-1]
 
-    def _ancestors(self, index: int) -> list[int]:
+    def ancestors(self, index: int) -> list[int]:
         """Positions of the entities that the one at ``index`` hangs on, its parent first."""
         found, parent = [], self.entities[index].joint.parent
         while parent is not None:
@@ -245,7 +245,7 @@ class Layout:
     def attached(self) -> tuple[int, ...]:
         """Positions of the entities that are fixed to one that can move."""
         fixed = [i for i, e in enumerate(self.entities) if e.joint.kind == "fixed"]
-        return tuple(i for i in fixed if any(self.entities[k].joint.kind != "fixed" for k in self._ancestors(i)))
+        return tuple(i for i in fixed if any(self.entities[k].joint.kind != "fixed" for k in self.ancestors(i)))
 
     @property
     def floor(self) -> float:
