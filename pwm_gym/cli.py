@@ -15,6 +15,7 @@ from pwm_gym.commands.demo import Demo
 from pwm_gym.commands.envs import Envs
 from pwm_gym.commands.evaluate import Evaluate
 from pwm_gym.commands.plan import Plan
+from pwm_gym.commands.publish import Publish
 from pwm_gym.commands.scenes import Scenes
 from pwm_gym.commands.train import Train
 from pwm_gym.commands.train_agent import TrainAgent
@@ -36,6 +37,7 @@ Command = (
     | Annotated[Bench, tyro.conf.subcommand("bench")]
     | Annotated[Scenes, tyro.conf.subcommand("scenes")]
     | Annotated[CheckCost, tyro.conf.subcommand("check-cost")]
+    | Annotated[Publish, tyro.conf.subcommand("publish")]
     | Annotated[Assets, tyro.conf.subcommand("assets")]
 )
 

@@ -10,7 +10,20 @@ from pwm_gym.data.episodes import read_shard, write_shard
 from pwm_gym.planning import Run
 from pwm_gym.tasks import TASKS
 
-COMMANDS = ("demo", "envs", "collect", "train", "complete", "evaluate", "plan", "view", "bench", "check-cost", "assets")
+COMMANDS = (
+    "demo",
+    "envs",
+    "collect",
+    "train",
+    "complete",
+    "evaluate",
+    "plan",
+    "view",
+    "bench",
+    "check-cost",
+    "publish",
+    "assets",
+)
 
 
 def failure(*args) -> str:
@@ -36,7 +49,7 @@ def test_every_command_explains_itself(command, capsys):
     assert end.value.code == 0
     help_text = capsys.readouterr().out
     assert f"usage: pwm-gym {command}" in help_text
-    assert command in ("envs", "view", "complete", "assets") or "--task" in help_text or "COST" in help_text.upper()
+    assert command in ("envs", "view", "complete", "publish", "assets") or "--task" in help_text or "COST" in help_text.upper()
 
 
 def test_help_lists_every_command(capsys):

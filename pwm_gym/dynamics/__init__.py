@@ -2,6 +2,7 @@
 
 from pwm_gym.dynamics.checkpoint import Checkpoint, SceneBank, load_checkpoint, resolve, save_checkpoint
 from pwm_gym.dynamics.compact.model import CompactConfig, CompactModel
+from pwm_gym.dynamics.hub import from_pretrained, push_to_hub, save_pretrained
 from pwm_gym.dynamics.model import WorldModel, rollout
 from pwm_gym.dynamics.paper.model import PaperConfig, PaperModel
 from pwm_gym.dynamics.registry import MODELS, build_model
@@ -16,8 +17,11 @@ __all__ = [
     "SceneBank",
     "WorldModel",
     "build_model",
+    "from_pretrained",
     "load_checkpoint",
+    "push_to_hub",
     "resolve",
     "rollout",
     "save_checkpoint",
+    "save_pretrained",
 ]

@@ -157,11 +157,16 @@ def default_checkpoints() -> dict[str, Path]:
 
 
 def resolve(checkpoint: str | Path, task: str) -> Path:
-    """Folder of a checkpoint: a path, the name of a shipped one, or ``"default"`` for the task's.
+    """Folder of a checkpoint: a path, the name of a shipped one, ``"default"`` for the task's, or ``"hf://owner/name"``.
 
     Raises:
         UnknownNameError: neither a folder nor a shipped name, or none is shipped for the task.
+        CheckpointError: a repository that cannot be reached.
     """
+    if str(checkpoint).startswith("hf:/"):  # a path of this name has lost a slash
+        from pwm_gym.dynamics.hub import HUB, download
+
+        return download(HUB + str(checkpoint).removeprefix("hf:").lstrip("/"))
     known, defaults = shipped(), default_checkpoints()
     if str(checkpoint) == "default":
         if task in defaults:
