@@ -49,7 +49,11 @@ def test_every_command_explains_itself(command, capsys):
     assert end.value.code == 0
     help_text = capsys.readouterr().out
     assert f"usage: pwm-gym {command}" in help_text
-    assert command in ("envs", "view", "complete", "publish", "assets") or "--task" in help_text or "COST" in help_text.upper()
+    assert (
+        command in ("envs", "view", "complete", "publish", "assets")
+        or "--task" in help_text
+        or "COST" in help_text.upper()
+    )
 
 
 def test_help_lists_every_command(capsys):
