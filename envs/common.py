@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -23,6 +23,7 @@ __all__ = [
     "Rules",
     "action_space",
     "check_actions",
+    "check_options",
     "check_render_mode",
     "first_entities",
     "last_action",
@@ -93,7 +94,7 @@ def check_actions(actions: Any, shape: tuple[int, ...]) -> Tensor:
     Raises:
         PwmGymError: wrong shape or dtype, NaN, or a value outside [-1, 1].
     """
-    value: Any = actions if isinstance(actions, Tensor) else np.asarray(actions)
+    value: Any = actions if isinstance(actions, Tensor) else _array(actions, shape)
     torched = isinstance(value, Tensor)
     if not (value.is_floating_point() if torched else np.issubdtype(value.dtype, np.floating)):
         raise PwmGymError(f"actions have dtype {value.dtype}; expected floating point")
@@ -107,8 +108,30 @@ def check_actions(actions: Any, shape: tuple[int, ...]) -> Tensor:
         raise PwmGymError(f"actions hold {int((~torch.isfinite(tensor)).sum())} values that are not finite")
     if tensor.numel() and float(tensor.abs().max()) > 1.0 + 1e-6:
         worst = tensor.flatten()[tensor.abs().argmax()]
-        raise PwmGymError(f"actions hold {float(worst):.4g}; expected values in [-1, 1]")
+        raise PwmGymError(f"actions hold {float(worst):.8g}; expected values in [-1, 1]")
     return tensor
+
+
+def _array(actions: Any, shape: tuple[int, ...]) -> np.ndarray:
+    try:
+        return np.asarray(actions)
+    except ValueError as error:
+        raise PwmGymError(f"actions are ragged; expected an array of shape {shape}") from error
+
+
+def check_options(options: Any, known: Sequence[str]) -> dict[str, Any]:
+    """The options of a reset, a copy.
+
+    Raises:
+        PwmGymError: no mapping.
+        UnknownNameError: an option that there is not.
+    """
+    if options is not None and not isinstance(options, Mapping):
+        raise PwmGymError(f"options is a {type(options).__name__}; expected a dict")
+    for key in options or {}:
+        if key not in known:
+            raise unknown_name("reset option", key, known)
+    return dict(options or {})
 
 
 def check_render_mode(mode: str | None, known: Sequence[str]) -> str | None:

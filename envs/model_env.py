@@ -13,6 +13,7 @@ from torch import Tensor
 
 from pwm_gym.envs.common import Rules, check_actions
 from pwm_gym.envs.model_vector_env import ModelVectorEnv
+from pwm_gym.errors import check_seed
 from pwm_gym.scene import Entity, Scene, State
 
 __all__ = ["ModelEnv"]
@@ -143,7 +144,7 @@ class ModelEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         """Start an episode; ``options["scene"]`` gives its scene."""
-        super().reset(seed=seed)
+        super().reset(seed=None if seed is None else check_seed(seed))
         observation, info = self.vector.reset(seed=seed, options=options)
         return _first(observation), _first_info(info)
 

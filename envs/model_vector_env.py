@@ -21,6 +21,7 @@ from pwm_gym.envs.common import (
     Rules,
     action_space,
     check_actions,
+    check_options,
     check_render_mode,
     first_entities,
     last_action,
@@ -29,7 +30,7 @@ from pwm_gym.envs.common import (
     outside,
 )
 from pwm_gym.envs.rendering import SceneRenderer
-from pwm_gym.errors import PwmGymError, SceneError, unknown_name
+from pwm_gym.errors import PwmGymError, SceneError, check_seed, check_whole
 from pwm_gym.scene import Entity, RigidState, Scene, State, batch_state
 from pwm_gym.scene.se3 import pose7_from_matrix
 from pwm_gym.tasks import get_task
@@ -98,8 +99,9 @@ class ModelVectorEnv(EzPickle, gym.vector.VectorEnv[dict[str, np.ndarray], np.nd
             autoreset_mode,
             tensors,
         )
-        if num_envs < 1:
-            raise PwmGymError(f"num_envs={num_envs}; expected at least 1")
+        check_whole("num_envs", num_envs, 1)
+        if max_episode_steps is not None:
+            check_whole("max_episode_steps", max_episode_steps, 1)
         self.task, self.num_envs = get_task(task), num_envs
         self.render_mode = check_render_mode(render_mode, self.metadata["render_modes"])
         self.device, self.max_episode_steps, self._tensors = use_device(device), max_episode_steps, tensors
@@ -180,10 +182,7 @@ class ModelVectorEnv(EzPickle, gym.vector.VectorEnv[dict[str, np.ndarray], np.nd
             options: "scene", and with autoreset disabled "reset_mask" (num_envs,) bool. With autoreset disabled a
                 scene may have further free entities after the task's; all environments then have them.
         """
-        options = dict(options or {})
-        for key in options:
-            if key not in _OPTIONS:
-                raise unknown_name("reset option", key, _OPTIONS)
+        options = check_options(options, _OPTIONS)
         mask = self._reset_mask(options.get("reset_mask"))
         self._seed(seed, mask)
         self._restart(mask, self._scenes(options.get("scene"), mask))
@@ -194,12 +193,16 @@ class ModelVectorEnv(EzPickle, gym.vector.VectorEnv[dict[str, np.ndarray], np.nd
         """Seed the generators of the environments that ``mask`` restarts."""
         if seed is None:
             return
-        seeds = [seed + i for i in range(self.num_envs)] if isinstance(seed, int | np.integer) else list(seed)
+        seeds: list[Any]
+        if isinstance(seed, Sequence | np.ndarray) and not isinstance(seed, str):
+            seeds = list(seed)
+        else:
+            seeds = [check_seed(seed) + i for i in range(self.num_envs)]
         if len(seeds) != self.num_envs:
             raise PwmGymError(f"{len(seeds)} seeds for {self.num_envs} environments")
         for i in np.flatnonzero(mask):
             if (value := seeds[i]) is not None:
-                self._generators[i].manual_seed(int(value))
+                self._generators[i].manual_seed(check_seed(value))
 
     def _reset_mask(self, mask: Any) -> np.ndarray:
         if mask is None:

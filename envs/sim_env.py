@@ -20,6 +20,7 @@ from pwm_gym.envs.common import (
     Rules,
     action_space,
     check_actions,
+    check_options,
     check_render_mode,
     first_entities,
     last_action,
@@ -28,7 +29,7 @@ from pwm_gym.envs.common import (
 )
 from pwm_gym.envs.observation_models import OBSERVATIONS, Bodies, CameraConfig
 from pwm_gym.envs.rendering import SceneRenderer
-from pwm_gym.errors import PwmGymError, SceneError, unknown_name
+from pwm_gym.errors import PwmGymError, SceneError, check_seed, unknown_name
 from pwm_gym.scene import Entity, Layout, RigidState, Scene, State, batch_state, sample_surface
 from pwm_gym.seeds import RANGES
 from pwm_gym.sim import SimOutcome, Simulator
@@ -191,11 +192,8 @@ class SimEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         """Start an episode; ``options["scene"]`` gives its scene, which needs joint positions."""
-        super().reset(seed=seed)
-        for key in options or {}:
-            if key != "scene":
-                raise unknown_name("reset option", key, ["scene"])
-        scene = (options or {}).get("scene")
+        super().reset(seed=None if seed is None else check_seed(seed))
+        scene = check_options(options, ["scene"]).get("scene")
         bodies = self._start(seed) if scene is None else self._start_from(scene)
         self._stage = None
         self._observation.reset(int(self.np_random.integers(2**31)), bodies)

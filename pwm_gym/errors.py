@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable, Mapping
-from typing import TypeVar
+import numbers
+from collections.abc import Hashable, Iterable, Mapping
+from typing import Any, TypeVar
 
 __all__ = [
     "CheckpointError",
@@ -12,6 +13,8 @@ __all__ = [
     "PwmGymError",
     "SceneError",
     "UnknownNameError",
+    "check_seed",
+    "check_whole",
     "look_up",
     "unknown_name",
 ]
@@ -40,7 +43,7 @@ class UnknownNameError(PwmGymError):
     """A name that no registry holds."""
 
 
-def unknown_name(kind: str, name: str, known: Iterable[str]) -> UnknownNameError:
+def unknown_name(kind: str, name: Any, known: Iterable[str]) -> UnknownNameError:
     """Error for an unregistered ``name``: lists the ``known`` ones and suggests the nearest.
 
     Example:
@@ -48,17 +51,39 @@ def unknown_name(kind: str, name: str, known: Iterable[str]) -> UnknownNameError
         unknown cost 'pick_cub'; known: pick_cube, pick_cube_paper. Did you mean 'pick_cube'?
     """
     names = sorted(known)
-    near = difflib.get_close_matches(name, names, n=1)
+    near = difflib.get_close_matches(str(name), names, n=1)
     hint = f" Did you mean '{near[0]}'?" if near else ""
     return UnknownNameError(f"unknown {kind} {name!r}; known: {', '.join(names) or 'none'}.{hint}")
 
 
-def look_up(kind: str, name: str, known: Mapping[str, _Value]) -> _Value:
+def look_up(kind: str, name: Any, known: Mapping[str, _Value]) -> _Value:
     """What ``known`` holds under ``name``.
 
     Raises:
         UnknownNameError: as of :func:`unknown_name`.
     """
-    if name not in known:
+    if not isinstance(name, Hashable) or name not in known:
         raise unknown_name(kind, name, known)
     return known[name]
+
+
+def check_whole(name: str, value: Any, least: int) -> int:
+    """``value``, a whole number of at least ``least``.
+
+    Raises:
+        PwmGymError: it is none, or less.
+    """
+    if isinstance(value, bool) or not isinstance(value, numbers.Integral) or value < least:
+        raise PwmGymError(f"{name}={value!r}; expected a whole number of at least {least}")
+    return int(value)
+
+
+def check_seed(value: Any) -> int:
+    """``value``, a seed.
+
+    Raises:
+        PwmGymError: it is no whole number from 0 to 2**63 - 1.
+    """
+    if isinstance(value, bool) or not isinstance(value, numbers.Integral) or not 0 <= value < 2**63:
+        raise PwmGymError(f"seed={value!r}; expected a whole number from 0 to 2**63 - 1")
+    return int(value)

@@ -8,7 +8,7 @@ import gymnasium as gym
 import numpy as np
 from gymnasium.utils import RecordConstructorArgs
 
-from pwm_gym.errors import PwmGymError
+from pwm_gym.errors import PwmGymError, check_whole
 
 __all__ = ["ActionChunk"]
 
@@ -31,8 +31,7 @@ class ActionChunk(gym.Wrapper[Any, np.ndarray, Any, np.ndarray], RecordConstruct
     def __init__(self, env: gym.Env[Any, np.ndarray], length: int) -> None:
         RecordConstructorArgs.__init__(self, length=length)
         gym.Wrapper.__init__(self, env)
-        if isinstance(length, bool) or not isinstance(length, int) or length < 1:
-            raise PwmGymError(f"length={length!r}; expected a whole number of at least 1")
+        check_whole("length", length, 1)
         single = env.action_space
         if not isinstance(single, gym.spaces.Box):
             raise PwmGymError(f"ActionChunk needs a Box of actions; got {type(single).__name__}")

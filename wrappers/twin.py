@@ -12,7 +12,7 @@ from gymnasium.utils import RecordConstructorArgs
 
 from pwm_gym.envs.model_env import ModelEnv
 from pwm_gym.envs.sim_env import SimEnv
-from pwm_gym.errors import PwmGymError
+from pwm_gym.errors import PwmGymError, check_whole
 from pwm_gym.evaluation.metrics import chamfer
 from pwm_gym.scene import Scene, State
 from pwm_gym.scene.se3 import rotation_angle
@@ -71,8 +71,8 @@ class Twin(gym.Wrapper[dict[str, np.ndarray], np.ndarray, dict[str, np.ndarray],
         twin: gym.Env[dict[str, np.ndarray], np.ndarray] | EnvSpec | str,
         resync: int | None = None,
     ) -> None:
-        if resync is not None and (isinstance(resync, bool) or not isinstance(resync, int) or resync < 1):
-            raise PwmGymError(f"resync={resync!r}; expected a whole number of at least 1, or None")
+        if resync is not None:
+            check_whole("resync", resync, 1)
         if not isinstance(twin, gym.Env):
             is_json = isinstance(twin, str) and twin.lstrip().startswith("{")
             twin = gym.make(EnvSpec.from_json(twin) if is_json else twin)  # type: ignore[arg-type]

@@ -117,9 +117,15 @@ class Cost:
             value = function(points, info)
         except KeyError as error:
             raise PwmGymError(f"cost {self.name!r}: {error.args[0]}") from error
+        except PwmGymError:
+            raise
+        except Exception as error:  # of a user's function: whatever it may be, it says which cost failed
+            raise PwmGymError(f"cost {self.name!r} ({name}) failed: {type(error).__name__}: {error}") from error
         if not isinstance(value, Tensor) or value.shape != (batch,):
             shape = tuple(value.shape) if isinstance(value, Tensor) else type(value).__name__
             raise PwmGymError(f"cost {self.name!r} ({name}) returned {shape}; expected a tensor ({batch},)")
+        if value.is_complex():
+            raise PwmGymError(f"cost {self.name!r} ({name}) returned {value.dtype}; expected real values")
         if not torch.isfinite(value).all():
             count = int((~torch.isfinite(value)).sum())
             raise PwmGymError(f"cost {self.name!r} ({name}) returned {count} of {batch} values not finite")
@@ -152,6 +158,8 @@ def register_cost(name: str, batched: bool = True) -> Callable[[F], F]:
     """
 
     def register(function: F) -> F:
+        if not callable(function):
+            raise PwmGymError(f"cost {name!r} is {function!r}; expected a function of points and info")
         register_terms(name, {name: (1.0, function if batched else _each(function))})
         return function
 
@@ -182,7 +190,7 @@ def get_cost(cost: str | Function | Cost) -> Cost:
     if callable(cost):
         name = getattr(cost, "__name__", "cost")
         return Cost(name, {name: (1.0, cost)})
-    if cost not in COSTS and is_sum(cost):
+    if isinstance(cost, str) and cost not in COSTS and is_sum(cost):
         parts = [weight * look_up("cost", name, COSTS) for weight, name in parse_sum(cost)]
         return sum(parts[1:], start=parts[0])
     return look_up("cost", cost, COSTS)

@@ -163,6 +163,8 @@ def resolve(checkpoint: str | Path, task: str) -> Path:
         UnknownNameError: neither a folder nor a shipped name, or none is shipped for the task.
         CheckpointError: a repository that cannot be reached.
     """
+    if not isinstance(checkpoint, str | Path):
+        raise unknown_name("checkpoint", checkpoint, [*shipped(), "default"])
     if str(checkpoint).startswith("hf:/"):  # a path of this name has lost a slash
         from pwm_gym.dynamics.hub import HUB, download
 

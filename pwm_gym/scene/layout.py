@@ -164,6 +164,8 @@ class Layout:
     def resize(self, points: int) -> Layout:
         """The same entities with ``points`` points in all, divided in the same proportions."""
         count = len(self.entities)
+        if isinstance(points, bool) or not isinstance(points, int | np.integer):
+            raise PwmGymError(f"points={points!r}; expected a whole number from {count} to {self.points}")
         if not count <= points <= self.points:
             raise PwmGymError(f"points={points}; expected {count} to {self.points}")
         share = (points - count) / max(1, self.points - count)  # of what is left when each has one point

@@ -143,6 +143,7 @@ class ManiSkillSimulator:
 
     def reset(self, seed: int) -> None:
         """Start the episode of ``seed``, which chooses the assets, too."""
+        self._check_open()
         self._rebuild(int(seed))
 
     def restore(self, scene: Scene, rebuild: bool = True) -> None:
@@ -164,6 +165,7 @@ class ManiSkillSimulator:
                 articulated part beyond its joint's limits.
             UnknownNameError: a further body of an unknown shape.
         """
+        self._check_open()
         joints = self._check_scene(scene)
         names, own = scene.layout.names, len(self._bodies)
         further = names[own:]
@@ -253,6 +255,7 @@ class ManiSkillSimulator:
 
     def step(self, action: np.ndarray) -> SimOutcome:
         """Apply an action (A,) in [-1, 1] for one control step."""
+        self._check_open()
         _, reward, _, _, info = self.env.step(np.asarray(action, dtype=np.float32))
         return self._outcome(reward, info)
 
@@ -293,6 +296,10 @@ class ManiSkillSimulator:
         """Joint positions and velocities (2, J) float32: radians (fingers: metres), and these a control step."""
         speeds = self._robot.get_qvel()[0].numpy() / self._base.control_freq
         return np.stack([self._robot.get_qpos()[0].numpy(), speeds]).astype(np.float32)
+
+    def _check_open(self) -> None:
+        if self.env is None:
+            raise PwmGymError(f"the simulator of {self._task} is closed; make another one")
 
     def close(self) -> None:
         """Free the simulator; calling it twice is harmless."""
