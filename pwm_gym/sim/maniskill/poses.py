@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from pwm_gym.sim.poses import compose, relative, rotation
+from pwm_gym.scene.poses import compose, relative, rotation
 
 __all__ = ["compose", "pose7", "relative", "rotation"]
 

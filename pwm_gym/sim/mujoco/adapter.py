@@ -14,7 +14,7 @@ from pwm_gym.scene import Scene
 from pwm_gym.sim.mujoco.meshes import body_mesh, welded
 from pwm_gym.sim.mujoco.restore import JointSolver, place_free, place_mocaps, set_free_velocity
 from pwm_gym.sim.mujoco.worlds import World, XmlWorld
-from pwm_gym.sim.poses import compose, relative, rotation
+from pwm_gym.scene.poses import compose, relative, rotation
 from pwm_gym.sim.protocol import SimOutcome
 
 if TYPE_CHECKING:
@@ -65,6 +65,11 @@ class MujocoSimulator:
         if control is not None:
             self._check_control(control)
         self._ids = np.array([self._find(body) for body in self._bodies.values()])
+        entities = {int(k) for k in self._ids}
+        self._groups = {
+            name: [number for number, _ in welded(self.model, int(k), entities)]
+            for name, k in zip(self._bodies, self._ids, strict=True)
+        }
         self._solver: JointSolver
         self._bind(robot)
         self.reset(0)
@@ -271,14 +276,11 @@ class MujocoSimulator:
 
     def touching(self, first: str, second: str) -> bool:
         """Whether two entities are in contact."""
-        bodies = []
         for name in (first, second):
             if name not in self._bodies:
                 raise unknown_name("entity", name, self._bodies)
-            own = int(self._ids[[*self._bodies].index(name)])
-            bodies.append([k for k, _ in welded(self.model, own, {int(i) for i in self._ids})])
         pairs = self.model.geom_bodyid[self.data.contact.geom]  # (C, 2)
-        one, other = np.isin(pairs, bodies[0]), np.isin(pairs, bodies[1])
+        one, other = (np.isin(pairs, self._groups[name]) for name in (first, second))
         return bool(((one[:, 0] & other[:, 1]) | (one[:, 1] & other[:, 0])).any())
 
     def goal(self) -> np.ndarray:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pwm_gym.errors import SceneError
-from pwm_gym.sim.poses import compose, rotation
+from pwm_gym.scene.poses import compose, rotation
 
 if TYPE_CHECKING:
     import trimesh

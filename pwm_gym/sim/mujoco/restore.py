@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pwm_gym.errors import SceneError
-from pwm_gym.sim.poses import rotation
+from pwm_gym.scene.poses import rotation
 
 __all__ = ["JointSolver", "place_free", "place_mocaps", "set_free_velocity"]
 
