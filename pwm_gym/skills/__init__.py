@@ -12,6 +12,7 @@ from pwm_gym.skills.pinch import Pinch
 from pwm_gym.skills.place import Place
 from pwm_gym.skills.prepare import Prepare
 from pwm_gym.skills.push import Push
+from pwm_gym.skills.table_push import TablePush
 
 __all__ = [
     "Brew",
@@ -25,6 +26,7 @@ __all__ = [
     "Place",
     "Prepare",
     "Push",
+    "TablePush",
     "TopGrasp",
     "downward_turn",
     "drive",

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from pwm_gym.robots.fetch import FETCH, TABLE_HEIGHT
+from pwm_gym.robots.fetch import FETCH, TABLE_HEIGHT, opening
 from pwm_gym.sim.mujoco.adapter import MujocoSimulator
 from pwm_gym.sim.mujoco.worlds import RoboticsWorld
 from pwm_gym.sim.protocol import SimOutcome
@@ -20,6 +20,8 @@ GOAL_RADIUS = 0.05
 OBJECT = "object"
 """Entity that the tasks are about."""
 
+_SHUT = 0.01  # metres between the pads of a gripper that holds nothing
+
 
 @dataclass(frozen=True)
 class Instant:
@@ -30,7 +32,7 @@ class Instant:
     """The object's centre; the tool, where there is no object."""
     goal: np.ndarray
     held: bool
-    """Whether both fingers touch the object."""
+    """Whether both fingers touch the object, and are not shut."""
 
     @property
     def reach(self) -> float:
@@ -77,5 +79,6 @@ def _instant(simulator: MujocoSimulator, has_object: bool) -> Instant:
     assert FETCH.tool is not None
     poses = simulator.poses()
     tool = FETCH.tool(poses)[:3]
-    held = has_object and all(simulator.touching(finger, OBJECT) for finger in ("left_gripper", "right_gripper"))
+    apart = has_object and opening(poses) > _SHUT
+    held = apart and all(simulator.touching(finger, OBJECT) for finger in ("left_gripper", "right_gripper"))
     return Instant(tool, poses[-1, :3] if has_object else tool, simulator.goal().astype(float), held)
