@@ -13,6 +13,7 @@ from pwm_gym.skills.place import Place
 from pwm_gym.skills.prepare import Prepare
 from pwm_gym.skills.push import Push
 from pwm_gym.skills.table_push import TablePush
+from pwm_gym.skills.table_tap import TableTap
 
 __all__ = [
     "Brew",
@@ -27,6 +28,7 @@ __all__ = [
     "Prepare",
     "Push",
     "TablePush",
+    "TableTap",
     "TopGrasp",
     "downward_turn",
     "drive",

@@ -10,7 +10,7 @@ from pwm_gym.tasks import (
 )  # after those: the order of registration is that of tables
 
 # isort: split
-from pwm_gym.tasks import fetch_pick_and_place, fetch_push, fetch_reach
+from pwm_gym.tasks import fetch_pick_and_place, fetch_push, fetch_reach, fetch_slide
 from pwm_gym.tasks.registry import TASKS, Expert, Task, get_task, register_task
 
 __all__ = [
@@ -22,6 +22,7 @@ __all__ = [
     "fetch_pick_and_place",
     "fetch_push",
     "fetch_reach",
+    "fetch_slide",
     "get_task",
     "mug_cleanup",
     "pick_cube",
