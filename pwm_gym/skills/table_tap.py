@@ -17,8 +17,9 @@ _LEVEL = 0.006  # over or under its height, within which it does
 _ABOVE = 0.004  # beside that place, within which the tool comes down
 _LEFT = 0.015  # further from the puck than where a tap begins, from where it has been tapped
 _CREEP = 0.003  # asked for in a step behind a puck that slides
-_PUSH = 0.35  # share of the fastest tap with which a puck that is too far for one is pushed
-_FULL = 0.97  # share of the longest slide up to which a tap is tried
+_FULL = 0.97  # share of the longest slide up to which one tap is enough
+_SHARE = 0.93  # share of it that a first tap leaves of a longer way
+_LEAST = 0.04  # metres that a first tap sends a puck
 
 
 @dataclass(frozen=True)
@@ -57,17 +58,25 @@ class TableTap:
         """Action (A,) that sends the puck to a place (3,), for poses (E, 7)."""
         tool, puck = tool_pose(self.robot, poses)[:3], poses[self.entity, :3]
         way = target[:2] - puck[:2]
+        distance = float(np.linalg.norm(way))
         ahead, slide = self._stroke(way)
         contact = self._contact(ahead) + self.gap
         place = np.array([*(puck[:2] - contact * ahead), self.height])
         offset = place - tool
         if np.linalg.norm(offset[:2]) < _TOUCHING + self.gap and abs(offset[2]) < _LEVEL and self._aligned(offset, ahead):
-            strength = np.sqrt(np.linalg.norm(way) / slide)
-            return self._drive(np.r_[self.stroke * (strength if strength < _FULL**0.5 else _PUSH) * ahead, offset[2]])
+            return self._drive(np.r_[self.stroke * self._strength(distance, slide) * ahead, offset[2]])
         low = abs(offset[2]) < _LEVEL and tool[2] > self.tapped_above
         if low and np.linalg.norm(tool[:2] - puck[:2]) > contact + _LEFT:
-            return self._drive(offset * min(1.0, _CREEP / float(np.linalg.norm(offset))))
+            step = self.stroke if distance > _SHARE * slide else _CREEP  # another tap is needed, or maybe
+            return self._drive(offset * min(1.0, step / float(np.linalg.norm(offset))))
         return self._come(offset, tool)
+
+    @staticmethod
+    def _strength(distance: float, slide: float) -> float:
+        """Share of the strongest stroke for a way; one that is too long for a single tap is shortened first."""
+        if distance > _FULL * slide:
+            distance = max(distance - _SHARE * slide, _LEAST)
+        return float(np.sqrt(distance / slide))
 
     def _aligned(self, offset: np.ndarray, ahead: np.ndarray) -> bool:
         """Whether the tool is on the line of the stroke."""
