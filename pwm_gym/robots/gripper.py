@@ -28,8 +28,8 @@ class Gripper:
     hand_half_length: float
     """Of the hand along y."""
     tool_ratio: float
-    """Where the tool centre is on the line from the hand cloud's mean through the fingers': (tool - fingers) / (fingers -
-    hand)."""
+    """Where the tool centre is on the line from the mean of the hand's cloud through that of both fingers': (tool -
+    fingers) / (fingers - hand)."""
     shut_apart: float
     """Distance between the means of the fingers' clouds where the pads touch."""
     pad_end: float

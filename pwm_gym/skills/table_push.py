@@ -58,7 +58,13 @@ class TablePush:
         return self._come(tool, start, float(np.linalg.norm(offset)))
 
     def _push(
-        self, tool: np.ndarray, ahead: np.ndarray, beside: np.ndarray, behind: float, distance: float, speed: float | None
+        self,
+        tool: np.ndarray,
+        ahead: np.ndarray,
+        beside: np.ndarray,
+        behind: float,
+        distance: float,
+        speed: float | None,
     ) -> np.ndarray:
         """Forward as far as the object has to go, and back to the line."""
         left = behind - self.contact + distance

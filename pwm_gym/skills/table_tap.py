@@ -63,7 +63,11 @@ class TableTap:
         contact = self._contact(ahead) + self.gap
         place = np.array([*(puck[:2] - contact * ahead), self.height])
         offset = place - tool
-        if np.linalg.norm(offset[:2]) < _TOUCHING + self.gap and abs(offset[2]) < _LEVEL and self._aligned(offset, ahead):
+        if (
+            np.linalg.norm(offset[:2]) < _TOUCHING + self.gap
+            and abs(offset[2]) < _LEVEL
+            and self._aligned(offset, ahead)
+        ):
             return self._drive(np.r_[self.stroke * self._strength(distance, slide) * ahead, offset[2]])
         low = abs(offset[2]) < _LEVEL and tool[2] > self.tapped_above
         if low and np.linalg.norm(tool[:2] - puck[:2]) > contact + _LEFT:

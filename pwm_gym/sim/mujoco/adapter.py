@@ -11,10 +11,10 @@ import numpy as np
 from pwm_gym.errors import PwmGymError, SceneError, unknown_name
 from pwm_gym.robots.control import Control
 from pwm_gym.scene import Scene
+from pwm_gym.scene.poses import compose, relative, rotation
 from pwm_gym.sim.mujoco.meshes import body_mesh, welded
 from pwm_gym.sim.mujoco.restore import JointSolver, place_free, place_mocaps, set_free_velocity
 from pwm_gym.sim.mujoco.worlds import World, XmlWorld
-from pwm_gym.scene.poses import compose, relative, rotation
 from pwm_gym.sim.protocol import SimOutcome
 
 if TYPE_CHECKING:
@@ -52,7 +52,7 @@ class MujocoSimulator:
         world: World,
         bodies: Mapping[str, str],
         judge: Callable[[MujocoSimulator], SimOutcome] | None = None,
-        base: Sequence[float] | str = _WORLD,
+        base: Sequence[float] | np.ndarray | str = _WORLD,
         robot: str | None = None,
         control: Control | None = None,
         visual: Sequence[str] = (),
@@ -319,7 +319,7 @@ def _joint_type(name: str) -> int:
 
 def _scalar_joints(model: Any, joints: np.ndarray) -> np.ndarray:
     """Numbers (J,) of the robot's joints, all of one degree of freedom."""
-    for joint in joints:
+    for joint in joints.tolist():
         if model.jnt_type[joint] not in (_joint_type("SLIDE"), _joint_type("HINGE")):
             name = model.joint(joint).name or f"number {joint}"
             raise PwmGymError(f"the robot's joint {name!r} is free or a ball; expected slides and hinges")

@@ -60,7 +60,7 @@ def fetch_simulator(env_id: str, reward: Callable[[Instant], float], objects: Se
     """
     world = RoboticsWorld(env_id)
     world.reset(0)
-    bodies = {**FETCH.links, **{name: "object0" for name in objects}}
+    bodies = {**FETCH.links, **dict.fromkeys(objects, "object0")}
 
     def judge(simulator: MujocoSimulator) -> SimOutcome:
         now = _instant(simulator, bool(objects))

@@ -54,9 +54,9 @@ def body_mesh(model: Any, body: int, others: Collection[int] = (), visual: bool 
 
     parts = []
     for number, place in welded(model, body, others):
-        for geom in np.flatnonzero(model.geom_bodyid == number):
+        for geom in np.flatnonzero(model.geom_bodyid == number).tolist():
             if _collides(model, geom) != visual and model.geom_type[geom] != _kind("PLANE"):
-                mesh = _geom_mesh(model, int(geom), hull=not visual)
+                mesh = _geom_mesh(model, geom, hull=not visual)
                 mesh.apply_transform(_matrix(compose(place, np.r_[model.geom_pos[geom], model.geom_quat[geom]])))
                 parts.append(mesh)
     if not parts:
