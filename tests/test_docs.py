@@ -47,6 +47,11 @@ def test_a_task_of_ones_own_is_one_short_file(monkeypatch, tmp_path, kept_regist
     assert names["observation"]["points"].shape == (1200, 3)
 
 
+def test_a_mujoco_model_of_ones_own_is_a_simulator():
+    names = run_page("docs/mujoco.md")
+    assert names["simulator"].assets() == ("pusher", "box")
+
+
 def test_a_sequence_of_ones_own_goes_from_stage_to_stage(kept_registries):
     assert list(dict.fromkeys(run_page("docs/stages.md")["stages"])) == ["left", "back", "finished"]
 
