@@ -55,7 +55,9 @@ FOUR_BAR = """
     </body>"""
 CONNECT = '<equality><connect body1="rod" body2="rocker" anchor="0.2 0 0" solref="0.004 1"/></equality>'
 HAND = """
-    <body name="target" mocap="true" pos="0.1 -0.4 0.3"><geom type="sphere" size="0.01" contype="0" conaffinity="0"/></body>
+    <body name="target" mocap="true" pos="0.1 -0.4 0.3">
+      <geom type="sphere" size="0.01" contype="0" conaffinity="0"/>
+    </body>
     <body name="hand" pos="0.1 -0.4 0.3">
       <joint name="hx" type="slide" axis="1 0 0"/><joint name="hz" type="slide" axis="0 0 1"/>
       <geom type="box" size="0.02 0.03 0.04" mass="0.5"/>

@@ -10,9 +10,9 @@ from gymnasium.utils.env_checker import check_env
 
 from pwm_gym.costs import contacts, cost_info
 from pwm_gym.errors import SceneError
-from pwm_gym.robots.joints import JointTree
 from pwm_gym.robots.fetch import FETCH, TABLE, WIDE_TABLE, opening
 from pwm_gym.robots.gripper import FETCH as GRIPPER
+from pwm_gym.robots.joints import JointTree
 from pwm_gym.scene.se3 import matrix_from_pose7
 from pwm_gym.seeds import seed_range
 from pwm_gym.tasks import get_task

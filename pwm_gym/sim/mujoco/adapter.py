@@ -336,21 +336,37 @@ def _ancestors(model: Any, body: int) -> list[int]:
 
 
 def _driven_roots(model: Any) -> set[int]:
-    """Outermost bodies of the trees that an actuator or a mocap body drives."""
+    """Outermost moving bodies of the trees that an actuator or a mocap body drives."""
     import mujoco
 
-    driven = []
-    for k in range(model.nu):
-        if model.actuator_trntype[k] in (
-            int(mujoco.mjtTrn.mjTRN_JOINT),
-            int(mujoco.mjtTrn.mjTRN_JOINTINPARENT),
-        ):
-            driven.append(int(model.jnt_bodyid[model.actuator_trnid[k, 0]]))
+    driven = [body for k in range(model.nu) for body in _actuated(model, k)]
     for k in np.flatnonzero(model.eq_type == int(mujoco.mjtEq.mjEQ_WELD)):
         pair = int(model.eq_obj1id[k]), int(model.eq_obj2id[k])
         if any(model.body_mocapid[b] >= 0 for b in pair):
             driven += [b for b in pair if model.body_mocapid[b] < 0]
-    return {int(model.body_rootid[b]) for b in driven} - {0}
+    moving = ([b for b in _ancestors(model, body) if model.body_jntnum[b]] for body in driven)
+    return {bodies[-1] for bodies in moving if bodies}
+
+
+def _actuated(model: Any, actuator: int) -> list[int]:
+    """Bodies that an actuator drives, through a joint, a tendon, a site or directly."""
+    import mujoco
+
+    kinds, target = mujoco.mjtTrn, int(model.actuator_trnid[actuator, 0])
+    kind = int(model.actuator_trntype[actuator])
+    if kind in (int(kinds.mjTRN_JOINT), int(kinds.mjTRN_JOINTINPARENT)):
+        return [int(model.jnt_bodyid[target])]
+    if kind == int(kinds.mjTRN_TENDON):
+        first, count = int(model.tendon_adr[target]), int(model.tendon_num[target])
+        wraps = range(first, first + count)
+        joints = [k for k in wraps if model.wrap_type[k] == int(mujoco.mjtWrap.mjWRAP_JOINT)]
+        sites = [k for k in wraps if model.wrap_type[k] == int(mujoco.mjtWrap.mjWRAP_SITE)]
+        return [int(model.jnt_bodyid[model.wrap_objid[k]]) for k in joints] + [
+            int(model.site_bodyid[model.wrap_objid[k]]) for k in sites
+        ]
+    if kind == int(kinds.mjTRN_BODY):
+        return [target]
+    return [int(model.site_bodyid[target])] if kind == int(kinds.mjTRN_SITE) else []
 
 
 def _check_supported(model: Any) -> None:
