@@ -19,6 +19,7 @@ _LEFT = 0.015  # further from the puck than where a tap begins, from where it ha
 _CREEP = 0.003  # asked for in a step behind a puck that slides
 _FULL = 0.97  # share of the longest slide up to which one tap is enough
 _SHARE = 0.93  # share of it that a first tap leaves of a longer way
+_FADES, _WEAKEST = 3.2, 0.5  # how much weaker strokes become a metre beyond the reach, and at the least
 _LEAST = 0.04  # metres that a first tap sends a puck
 
 
@@ -45,6 +46,8 @@ class TableTap:
     """Directions in which they send the puck."""
     slides: tuple[float, ...]
     """How far the strongest ones send it."""
+    reach: float
+    """Distance from the base up to which strokes are as strong."""
     height: float = 0.03
     """Of the tool where it taps."""
     tapped_above: float = 0.025
@@ -60,6 +63,7 @@ class TableTap:
         way = target[:2] - puck[:2]
         distance = float(np.linalg.norm(way))
         ahead, slide = self._stroke(way)
+        slide *= float(np.clip(1.0 - _FADES * (np.linalg.norm(puck[:2]) - self.reach), _WEAKEST, 1.0))
         contact = self._contact(ahead) + self.gap
         place = np.array([*(puck[:2] - contact * ahead), self.height])
         offset = place - tool

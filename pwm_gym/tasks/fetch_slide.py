@@ -23,7 +23,8 @@ _RADIUS = 0.025  # metres: the puck's
 _HALF = (0.0135, 0.0149)  # metres: half the sides of the shut fingers
 _STROKES = (0.0, 8.0, 15.0, 22.0, 30.0, 37.0, 45.0, 52.0, 60.0, 67.0, 75.0, 82.0, 90.0)  # degrees; measured
 _LAUNCHES = (0.0, 6.5, 10.5, 16.4, 33.2, 41.6, 45.5, 47.5, 55.0, 67.5, 80.3, 84.8, 90.0)  # degrees that come of them
-_SLIDES = (0.5, 0.495, 0.475, 0.46, 0.55, 0.63, 0.72, 0.71, 0.65, 0.57, 0.52, 0.53, 0.53)  # metres, at full strength
+_SLIDES = (0.49, 0.485, 0.465, 0.45, 0.535, 0.61, 0.7, 0.69, 0.63, 0.555, 0.51, 0.52, 0.52)  # metres, at full strength
+_REACH = 0.83  # metres from the base; measured, too
 _AT_GOAL = 0.04  # metres from the goal where the expert leaves the puck alone
 _LAYOUT = layout({"object": 300}, WIDE_TABLE)
 
@@ -49,7 +50,9 @@ class FetchSlideExpert:
     def sample(cls, rng: np.random.Generator) -> FetchSlideExpert:
         """Expert of a random height."""
         height = rng.uniform(0.029, 0.031)
-        return cls(TableTap(FETCH, _LAYOUT.index("object"), _RADIUS, _HALF, 0.05, _STROKES, _LAUNCHES, _SLIDES, height))
+        return cls(
+            TableTap(FETCH, _LAYOUT.index("object"), _RADIUS, _HALF, 0.05, _STROKES, _LAUNCHES, _SLIDES, _REACH, height)
+        )
 
     def act(self, poses: np.ndarray, goal: np.ndarray, assets: Sequence[str] = ()) -> np.ndarray:
         """Action (4,) for poses (4, 7) of hand, fingers and puck, and the puck's goal (3,)."""
