@@ -16,11 +16,20 @@ _NEAR = 0.02  # metres from the goal within which the way there counts most
 _LEVEL = 0.03  # metres over an object's centre above which the tool is clear of it
 
 
-def goal_distance(name: str) -> Term:
-    """Distance (B,) in the plane from an object's centre to the goal, sharper when near."""
+def goal_distance(name: str, slowing: float | None = None) -> Term:
+    """Distance (B,) in the plane from where an object comes to rest to the goal, sharper when near.
+
+    Args:
+        name: the object.
+        slowing: by how much, metres a step in a step, friction slows it down; None: it stops at once.
+    """
 
     def term(points: Points, info: Info) -> Tensor:
-        way = (contacts.centre(points, name) - info["goal"])[..., :2].norm(dim=-1)
+        place = contacts.centre(points, name)
+        if slowing is not None:
+            step = info["velocity"][name].mean(-2)
+            place = place + step * step.norm(dim=-1, keepdim=True) / (2.0 * slowing)
+        way = (place - info["goal"])[..., :2].norm(dim=-1)
         return 5.0 * way + torch.tanh(way / _NEAR)
 
     return term
@@ -58,16 +67,19 @@ def wrong_side(name: str, gripper: Gripper, contact: float) -> Term:
     return term
 
 
-def pushing_terms(name: str, gripper: Gripper, contact: float) -> dict[str, tuple[float, Term]]:
+def pushing_terms(
+    name: str, gripper: Gripper, contact: float, slowing: float | None = None
+) -> dict[str, tuple[float, Term]]:
     """Weighted terms of a planner's cost: the object near its goal, the tool behind it and not on the table.
 
     Args:
         name: the object.
         gripper: that pushes.
         contact: distance, metres, of the tool from the object's centre where it pushes.
+        slowing: by how much, metres a step in a step, friction slows the object down; None: it stops at once.
     """
     return {
-        "goal_distance": (2.0, goal_distance(name)),
+        "goal_distance": (2.0, goal_distance(name, slowing)),
         "behind": (1.5, behind(name, gripper, contact)),
         "wrong_side": (8.0, wrong_side(name, gripper, contact)),
         "ground_contact": (0.5, terms.ground_contact),

@@ -19,6 +19,7 @@ __all__ = ["FETCH_SLIDE", "FetchSlideExpert"]
 
 _GOAL_RADIUS = 0.05  # metres: the simulator's threshold for the puck's distance from the goal
 _CONTACT = 0.04  # metres from the tool to the puck's centre where shut fingers touch it
+_SLOWING = 0.1 * 9.81 * FETCH.control.period**2  # metres a step in a step: friction of 0.1
 _RADIUS = 0.025  # metres: the puck's
 _HALF = (0.0135, 0.0149)  # metres: half the sides of the shut fingers
 _STROKES = (0.0, 8.0, 15.0, 22.0, 30.0, 37.0, 45.0, 52.0, 60.0, 67.0, 75.0, 82.0, 90.0)  # degrees; measured
@@ -37,7 +38,7 @@ register_terms(  # minus the dense reward: the tool near the puck, the puck near
     "fetch_slide",
     shaped.normalised(4.0, {"pushing": (None, 0.0, lambda p, i: _reach(p, i) + 3.0 * _place(p, i))}, _success),
 )
-register_terms("fetch_slide_plan", pushing_terms("object", GRIPPER, _CONTACT))
+register_terms("fetch_slide_plan", pushing_terms("object", GRIPPER, _CONTACT, _SLOWING))
 
 
 @dataclass(frozen=True)
