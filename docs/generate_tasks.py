@@ -13,7 +13,9 @@ from pwm_gym.tasks import Task, get_task
 
 DOCS = Path(__file__).parent
 PAGE = DOCS / "tasks.md"
-_NAMES = ("PickCube", "StackCube", "PickYCB", "MugCleanup", "Coffee", "CoffeePreparation")
+_PANDA = ("PickCube", "StackCube", "PickYCB", "MugCleanup", "Coffee", "CoffeePreparation")
+_FETCH = ("FetchReach", "FetchPush", "FetchSlide", "FetchPickAndPlace")
+_NAMES = (*_PANDA, *_FETCH)
 _INTRO = """# Tasks
 
 Written by `python docs/generate_tasks.py`. Spaces, rewards and infos that all tasks share:

@@ -53,6 +53,11 @@ def test_a_cost_of_ones_own_rewards_environments_and_batches(kept_registries):
     assert names["many"].unwrapped.rules.cost.name == "reach_cube"
 
 
+def test_a_mujoco_model_of_ones_own_is_a_simulator():
+    names = run_page("docs/mujoco.md")
+    assert names["simulator"].assets() == ("pusher", "box")
+
+
 def test_a_sequence_of_ones_own_goes_from_stage_to_stage(kept_registries):
     assert list(dict.fromkeys(run_page("docs/stages.md")["stages"])) == ["left", "back", "finished"]
 

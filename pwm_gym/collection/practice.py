@@ -73,8 +73,9 @@ class Practice:
             self._wander: 0.09,
         }
         if self._task.robot.tool is not None and self._task.robot.action is not None:
-            scripted = {self._waypoint: 0.09, self._pinch: 0.18, self._push: 0.13, self._drop: 0.06, self._drag: 0.03}
-            shares |= scripted
+            shares[self._waypoint] = 0.09
+            if self._task.objects:
+                shares |= {self._pinch: 0.18, self._push: 0.13, self._drop: 0.06, self._drag: 0.03}
             if len(self._task.objects) > 1:
                 shares[self._ram] = 0.06
         weights = np.array([*shares.values()])
@@ -176,12 +177,12 @@ class Practice:
         return islice(self._follow_expert(), self._some())
 
     def _waypoint(self) -> Actions:
-        """Straight to a point around an object, at any speed, the gripper open, shut or as it is."""
+        """Straight to a point around an object or the tool, at any speed, the gripper open, shut or as it is."""
         rng = self._rng
         offset = rng.normal(0.0, [0.05, 0.05, 0.0]) + [0.0, 0.0, rng.uniform(-0.01, 0.12)]
         gripper = float(rng.choice([_OPEN, _SHUT, self._gripper, rng.uniform(-1, 1)]))
         speed, turn = rng.uniform(0.01, 0.1), rng.normal(0.0, 0.03, 3) * [0.3, 0.3, 1.0]
-        target = self._pose(self._any_object())[:3] + offset
+        target = (self._pose(self._any_object())[:3] if self._task.objects else self._tool()) + offset
         assert self._task.robot.action is not None
         for _ in range(self._some()):
             reach = target - self._tool()

@@ -10,6 +10,8 @@ from typing import Concatenate, ParamSpec, TypeVar
 import torch
 from torch import Tensor
 
+from pwm_gym.robots.gripper import PANDA, Gripper
+
 __all__ = [
     "MOST_SUNK",
     "PAD_END",
@@ -43,13 +45,12 @@ Points = Mapping[str, Tensor]
 P = ParamSpec("P")
 T = TypeVar("T")
 
-PAD_HALF_WIDTH, PAD_END = 0.014, 0.012
-"""Metres that the fingers' pads reach to either side of the tool centre, and beyond it."""
+PAD_HALF_WIDTH, PAD_END = PANDA.pad_reach, PANDA.pad_end
+"""Metres that the Panda's pads reach to either side of the tool centre, and beyond it."""
 
 MOST_SUNK = 0.015
 """Metres by which both pads together may sink into what is between them."""
 
-_TOOL_RATIO = 0.355  # (tool - fingers) / (fingers - hand) along the Panda hand's axis, of its collision meshes
 _MOST_TURN, _TURNS = radians(16.0), 17  # around a direction that is known roughly
 _SIDE_POINTS = 640  # that tell it: to 0.02 degrees of a cabinet, where 2,560 tell it to 0.006
 _SAME_WAY = 0.995  # cosine of 6 degrees: rough directions between which a box's own does not change
@@ -62,7 +63,6 @@ _SPARSE, _STOPPED = 0.005, 0.0005  # metres, and metres a step: of a grasp on an
 _HALF_SHUT = 0.2  # a gripper commanded below this shuts on an object of 4 cm
 _SUNK = 0.010  # metres by which a pad may overlap the object's extent and still count as pressing on it
 _BETWEEN = 0.013  # metres from tool to centre within which the object is between the finger tips
-_TIPS_APART = 0.027  # metres between the centres of the fingers' clouds where they are shut
 
 
 def once(term: Callable[Concatenate[Points, P], T]) -> Callable[Concatenate[Points, P], T]:
@@ -98,10 +98,10 @@ def middle(points: Points, name: str) -> Tensor:
 
 
 @once
-def tool_centre(points: Points) -> Tensor:
+def tool_centre(points: Points, gripper: Gripper = PANDA) -> Tensor:
     """Point (B, 3) between the finger tips: on the line from the hand's centre through the fingers' centre."""
     fingers = 0.5 * (centre(points, "left_gripper") + centre(points, "right_gripper"))
-    return fingers + _TOOL_RATIO * (fingers - centre(points, "hand"))
+    return fingers + gripper.tool_ratio * (fingers - centre(points, "hand"))
 
 
 @once
@@ -116,16 +116,16 @@ def finger_gaps(points: Points, name: str) -> Tensor:
 
 
 @once
-def pad_gaps(points: Points, name: str) -> Tensor:
+def pad_gaps(points: Points, name: str, gripper: Gripper = PANDA) -> Tensor:
     """Gaps (B, 2) as :func:`finger_gaps`, to that part of the object which is between the fingers' pads.
 
     Huge where no part is. What of a bowl, say, lies beyond a finger is not between them.
     """
     axis, places = fingers_axis(points), along(points[name], fingers_axis(points))
     left, right = (along(centre(points, f).unsqueeze(-2), axis) for f in ("left_gripper", "right_gripper"))
-    offset = points[name] - tool_centre(points).unsqueeze(-2)
-    ahead = along(offset, forward(points)) <= PAD_END
-    beside = along(offset, torch.cross(axis, forward(points), dim=-2)).abs() <= PAD_HALF_WIDTH
+    offset = points[name] - tool_centre(points, gripper).unsqueeze(-2)
+    ahead = along(offset, forward(points)) <= gripper.pad_end
+    beside = along(offset, torch.cross(axis, forward(points), dim=-2)).abs() <= gripper.pad_reach
     between = ahead & beside & (places >= right) & (places <= left)
     lowest, highest = places.where(between, 1e3).amin(-1), places.where(between, -1e3).amax(-1)
     return _gaps(points, axis, lowest, highest)
@@ -201,17 +201,17 @@ def across(front: Tensor) -> Tensor:
     return torch.stack([-y, x, z], -2)
 
 
-def near_and_shut(points: Points, action: Tensor, name: str) -> Tensor:
+def near_and_shut(points: Points, action: Tensor, name: str, gripper: Gripper = PANDA) -> Tensor:
     """Bool (B,): tool centre within 2.5 cm of the object's, gripper commanded shut (paper, appendix "Cost")."""
-    near = (tool_centre(points) - centre(points, name)).norm(dim=-1) <= _CLOSE
+    near = tool_distance(points, name, gripper) <= _CLOSE
     return near & (action[..., -1] < 0)
 
 
-def pinched(points: Points, action: Tensor, name: str) -> Tensor:
+def pinched(points: Points, action: Tensor, name: str, gripper: Gripper = PANDA) -> Tensor:
     """Bool (B,): a shutting gripper, its fingers stopped by that part of the object which is between them."""
-    gaps = pad_gaps(points, name)
+    gaps = pad_gaps(points, name, gripper)
     touching = ((gaps >= _DEEPEST) & (gaps <= _LOOSEST)).all(-1) & (gaps.sum(-1) <= _PRESSED)
-    near = (tool_centre(points) - centre(points, name)).norm(dim=-1) <= _HELD
+    near = tool_distance(points, name, gripper) <= _HELD
     return touching & near & (action[..., -1] < _HALF_SHUT)
 
 
@@ -234,26 +234,26 @@ def closing(points: Points, velocity: Points) -> Tensor:
 
 
 @once
-def tool_distance(points: Points, name: str) -> Tensor:
+def tool_distance(points: Points, name: str, gripper: Gripper = PANDA) -> Tensor:
     """Distance (B,) from the tool centre to an object's centre."""
-    return (centre(points, name) - tool_centre(points)).norm(dim=-1)
+    return (centre(points, name) - tool_centre(points, gripper)).norm(dim=-1)
 
 
 @once
 def fingers_apart(points: Points) -> Tensor:
-    """Distance (B,) between the centres of the fingers' clouds: 10.7 cm apart when open, 2.7 cm shut."""
+    """Distance (B,) between the centres of the fingers' clouds: of a Panda 10.7 cm when open, 2.7 cm shut."""
     return (centre(points, "left_gripper") - centre(points, "right_gripper")).norm(dim=-1)
 
 
-def opening(points: Points) -> Tensor:
+def opening(points: Points, gripper: Gripper = PANDA) -> Tensor:
     """Distance (B,) between the pads, as the fingers' centres tell it."""
-    return (fingers_apart(points) - _TIPS_APART).clamp_min(0.0)
+    return (fingers_apart(points) - gripper.shut_apart).clamp_min(0.0)
 
 
 @once
-def outside_fingers(points: Points, name: str) -> Tensor:
+def outside_fingers(points: Points, name: str, gripper: Gripper = PANDA) -> Tensor:
     """Soft bool (B,): the object is not between the finger tips."""
-    return torch.sigmoid((tool_distance(points, name) - _BETWEEN) / 0.002)
+    return torch.sigmoid((tool_distance(points, name, gripper) - _BETWEEN) / 0.002)
 
 
 @once
@@ -262,14 +262,14 @@ def crushed(points: Points, name: str) -> Tensor:
     return torch.sigmoid(-(finger_gaps(points, name).amin(-1) + _SUNK) / 0.002)
 
 
-def firmness(points: Points, action: Tensor, name: str) -> Tensor:
+def firmness(points: Points, action: Tensor, name: str, gripper: Gripper = PANDA) -> Tensor:
     """Soft form (B,) of :func:`pinched`, in [0, 1]; a model lets the pads sink deeper."""
-    return _pressing(points, name) * (action[..., -1] < 0)
+    return _pressing(points, name, gripper) * (action[..., -1] < 0)
 
 
 @once
-def _pressing(points: Points, name: str) -> Tensor:
+def _pressing(points: Points, name: str, gripper: Gripper = PANDA) -> Tensor:
     """Soft bool (B,): both pads touch the object, which is between them."""
     gaps = finger_gaps(points, name)
     pressing = torch.sigmoid((0.001 - gaps.amax(-1)) / 0.0007) * torch.sigmoid((gaps.amin(-1) + _SUNK) / 0.001)
-    return pressing * torch.sigmoid((0.020 - tool_distance(points, name)) / 0.002)
+    return pressing * torch.sigmoid((0.020 - tool_distance(points, name, gripper)) / 0.002)

@@ -19,6 +19,7 @@ from torch import Tensor
 from pwm_gym.costs import contacts
 from pwm_gym.costs.contacts import Points
 from pwm_gym.costs.motion import angular_velocity, joint_speed, speed
+from pwm_gym.robots.gripper import PANDA, Gripper
 from pwm_gym.robots.speeds import JointSpeeds
 
 __all__ = [
@@ -55,6 +56,7 @@ __all__ = [
     "still",
     "tilt",
     "tool",
+    "tool_of",
     "ungrasp",
     "way_from_above",
 ]
@@ -67,6 +69,7 @@ Place = Callable[[Points, Info], Tensor]
 
 _CLEAR = 0.05  # metres over an object's centre at which open fingers clear its top
 _FULL_OPENING = 0.08  # metres between the pads of an open Panda gripper
+_AJAR = 0.007  # metres by which a gripper that counts as open may be shut
 _UPRIGHT = 0.035  # sine of 2 degrees: a hand that points straight down, as far as its points tell
 _DOWN, _UP = 0.8, 1.5  # of a way from above: a metre too high, and a metre too low, in metres beside
 
@@ -109,6 +112,11 @@ def tool(points: Points, info: Info) -> Tensor:
     return contacts.tool_centre(points)
 
 
+def tool_of(gripper: Gripper) -> Place:
+    """The tool centre (B, 3) of a gripper, metres."""
+    return lambda points, info: contacts.tool_centre(points, gripper)
+
+
 def centre(name: str) -> Place:
     """Mean (B, 3) of an object's points, metres."""
     return lambda points, info: contacts.centre(points, name)
@@ -140,27 +148,27 @@ def at_rest(name: str, period: float, linear: float, angular: float) -> Term:
     return term
 
 
-def pinch(name: str) -> Term:
+def pinch(name: str, gripper: Gripper = PANDA) -> Term:
     """Bool (B,): the contact rule of a grasp, :func:`pwm_gym.costs.contacts.pinched`."""
-    return lambda points, info: contacts.pinched(points, info["action"], name)
+    return lambda points, info: contacts.pinched(points, info["action"], name, gripper)
 
 
-def near_and_shut(name: str) -> Term:
+def near_and_shut(name: str, gripper: Gripper = PANDA) -> Term:
     """Bool (B,): the paper's rule of a grasp, :func:`pwm_gym.costs.contacts.near_and_shut`."""
-    return lambda points, info: contacts.near_and_shut(points, info["action"], name)
+    return lambda points, info: contacts.near_and_shut(points, info["action"], name, gripper)
 
 
 # A simulator's shaped rewards -------------------------------------------------------------------------------------
 
 
-def reach(name: str) -> Term:
+def reach(name: str, gripper: Gripper = PANDA) -> Term:
     """Nearness of the tool to the object."""
-    return nearness(centre(name), tool)
+    return nearness(centre(name), tool_of(gripper))
 
 
-def grasped(name: str) -> Term:
+def grasped(name: str, gripper: Gripper = PANDA) -> Term:
     """1 where the object is pinched."""
-    return lambda points, info: contacts.pinched(points, info["action"], name).float()
+    return lambda points, info: contacts.pinched(points, info["action"], name, gripper).float()
 
 
 def place(name: str, target: Place) -> Term:
@@ -203,35 +211,37 @@ def object_still(name: str, period: float) -> Term:
 # The planners' cost: a grasp that cannot be fooled ----------------------------------------------------------------
 
 
-def approach(name: str, finished: Term | None = None) -> Term:
+def approach(name: str, finished: Term | None = None, gripper: Gripper = PANDA) -> Term:
     """Distance from tool to object, sharper when near; none where the soft rule ``finished`` holds."""
 
     def term(points: Points, info: Info) -> Tensor:
-        distance = contacts.tool_distance(points, name)
+        distance = contacts.tool_distance(points, name, gripper)
         value = 5.0 * distance + torch.tanh(distance / 0.02)
         return value if finished is None else value * (1 - finished(points, info))
 
     return term
 
 
-def premature_close(name: str) -> Term:
+def premature_close(name: str, gripper: Gripper = PANDA) -> Term:
     """Shut before the object is between the fingers."""
+    open_apart = gripper.shut_apart + gripper.opening - _AJAR
 
     def term(points: Points, info: Info) -> Tensor:
-        shut = ((0.100 - contacts.fingers_apart(points)) / 0.04).clamp(0, 1)
-        return shut * torch.maximum(contacts.outside_fingers(points, name), contacts.crushed(points, name))
+        shut = ((open_apart - contacts.fingers_apart(points)) / 0.04).clamp(0, 1)
+        outside = contacts.outside_fingers(points, name, gripper)
+        return shut * torch.maximum(outside, contacts.crushed(points, name))
 
     return term
 
 
-def finger_blocking(name: str) -> Term:
+def finger_blocking(name: str, gripper: Gripper = PANDA) -> Term:
     """Fingers at the object's height that overlap it along their own axis: coming closer, they would push it."""
 
     def term(points: Points, info: Info) -> Tensor:
-        height = contacts.tool_centre(points)[..., 2] - contacts.centre(points, name)[..., 2]
+        height = contacts.tool_centre(points, gripper)[..., 2] - contacts.centre(points, name)[..., 2]
         depth = ((_CLEAR - height) / _CLEAR).clamp(0, 1)
         blocked = torch.sigmoid((0.002 - contacts.finger_gaps(points, name).amin(-1)) / 0.002)
-        return blocked * depth * contacts.outside_fingers(points, name)
+        return blocked * depth * contacts.outside_fingers(points, name, gripper)
 
     return term
 
@@ -265,27 +275,30 @@ def tilt(points: Points, info: Info) -> Tensor:
     return (contacts.forward(points).squeeze(-1)[..., :2].norm(dim=-1) - _UPRIGHT).clamp_min(0.0)
 
 
-def disturbance(name: str, held: bool = True) -> Term:
+def disturbance(name: str, held: bool = True, gripper: Gripper = PANDA) -> Term:
     """Speed of an object in units of 5 mm a step: it is being pushed, or it falls.
 
     Args:
         name: the object.
         held: whether it may move while it is firmly held.
+        gripper: that holds it.
     """
 
     def term(points: Points, info: Info) -> Tensor:
         pushed = (speed(info["velocity"], name) / 0.005).clamp_max(4.0)
-        return pushed * (1 - contacts.firmness(points, info["action"], name)) if held else pushed
+        if not held:
+            return pushed
+        return pushed * (1 - contacts.firmness(points, info["action"], name, gripper))
 
     return term
 
 
-def carry(name: str, target: Place) -> Term:
+def carry(name: str, target: Place, gripper: Gripper = PANDA) -> Term:
     """Nearness of the object to a place, which counts once the grasp is firm: up to 4."""
     distance = _distance(name, target)
 
     def term(points: Points, info: Info) -> Tensor:
-        return contacts.firmness(points, info["action"], name) * closeness(distance(points, info))
+        return contacts.firmness(points, info["action"], name, gripper) * closeness(distance(points, info))
 
     return term
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-__all__ = ["PANDA", "Gripper"]
+__all__ = ["FETCH", "PANDA", "Gripper"]
 
 
 @dataclass(frozen=True)
@@ -27,6 +27,15 @@ class Gripper:
     """Of the hand along x."""
     hand_half_length: float
     """Of the hand along y."""
+    tool_ratio: float
+    """Where the tool centre is on the line from the mean of the hand's cloud through that of both fingers': (tool -
+    fingers) / (fingers - hand)."""
+    shut_apart: float
+    """Distance between the means of the fingers' clouds where the pads touch."""
+    pad_end: float
+    """From the tool centre down to what still counts as between the pads."""
+    pad_reach: float
+    """From the tool centre along x to what still counts as between the pads."""
 
 
 PANDA = Gripper(
@@ -38,5 +47,25 @@ PANDA = Gripper(
     hand_height=0.037,
     hand_half_width=0.032,
     hand_half_length=0.104,
+    tool_ratio=0.355,
+    shut_apart=0.027,
+    pad_end=0.012,
+    pad_reach=0.014,
 )
 """The Franka Panda's hand, measured on the collision meshes that ManiSkill ships."""
+
+FETCH = Gripper(
+    opening=0.1018,
+    finger_depth=0.014,
+    finger_half_width=0.0135,
+    pad_half_width=0.0135,
+    finger_tip=0.0185,
+    hand_height=0.052,
+    hand_half_width=0.04,
+    hand_half_length=0.063,
+    tool_ratio=0.213,
+    shut_apart=0.014,
+    pad_end=0.021,
+    pad_reach=0.0165,
+)
+"""The Fetch's hand, of the meshes and boxes that Gymnasium-Robotics ships; x is along the hand's z axis."""

@@ -12,6 +12,8 @@ from pwm_gym.skills.pinch import Pinch
 from pwm_gym.skills.place import Place
 from pwm_gym.skills.prepare import Prepare
 from pwm_gym.skills.push import Push
+from pwm_gym.skills.table_push import TablePush
+from pwm_gym.skills.table_tap import TableTap
 
 __all__ = [
     "Brew",
@@ -25,6 +27,8 @@ __all__ = [
     "Place",
     "Prepare",
     "Push",
+    "TablePush",
+    "TableTap",
     "TopGrasp",
     "downward_turn",
     "drive",

@@ -64,7 +64,12 @@ class TopGrasp:
         return poses[self.entity, :3] - tool_pose(self.robot, poses)[:3]
 
     def _turn(self, poses: np.ndarray) -> float:
-        """Smallest turn that aligns the fingers, or the one a quarter further if only that one leaves them room."""
+        """Smallest turn that aligns the fingers, or the one a quarter further if only that one leaves them room.
+
+        None for a robot that cannot turn its hand: it takes the object as it lies.
+        """
+        if not self.robot.control.of_kind("rotation"):
+            return 0.0
         tool = tool_pose(self.robot, poses)
         turn = yaw_error(tool, poses[self.entity])
         if not self.obstacles:

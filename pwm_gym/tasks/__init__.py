@@ -8,6 +8,9 @@ from pwm_gym.tasks import (
     coffee_preparation,
     mug_cleanup,
 )  # after those: the order of registration is that of tables
+
+# isort: split
+from pwm_gym.tasks import fetch_pick_and_place, fetch_push, fetch_reach, fetch_slide
 from pwm_gym.tasks.registry import TASKS, Expert, Task, get_task, register_task
 
 __all__ = [
@@ -16,6 +19,10 @@ __all__ = [
     "Task",
     "coffee",
     "coffee_preparation",
+    "fetch_pick_and_place",
+    "fetch_push",
+    "fetch_reach",
+    "fetch_slide",
     "get_task",
     "mug_cleanup",
     "pick_cube",

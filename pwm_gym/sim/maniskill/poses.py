@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+
+from pwm_gym.scene.poses import compose, relative, rotation
 
 __all__ = ["compose", "pose7", "relative", "rotation"]
 
@@ -13,21 +14,3 @@ __all__ = ["compose", "pose7", "relative", "rotation"]
 def pose7(pose: Any) -> np.ndarray:
     """A SAPIEN pose as (7,), float64."""
     return np.concatenate([pose.p, pose.q]).astype(np.float64)
-
-
-def rotation(pose: np.ndarray) -> Rotation:
-    """Rotation of poses (..., 7)."""
-    return Rotation.from_quat(pose[..., 3:], scalar_first=True)
-
-
-def compose(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Pose (7,) of ``b`` (7,), given in the frame of ``a`` (7,), in the frame of ``a``'s parent."""
-    turn = rotation(a)
-    return np.r_[a[:3] + turn.apply(b[:3]), (turn * rotation(b)).as_quat(scalar_first=True)]
-
-
-def relative(base: np.ndarray, poses: np.ndarray) -> np.ndarray:
-    """Poses (E, 7), given in the parent's frame of ``base`` (7,), in the frame of ``base``."""
-    inverse = rotation(base).inv()
-    turned = (inverse * rotation(poses)).as_quat(canonical=True, scalar_first=True)
-    return np.concatenate([inverse.apply(poses[:, :3] - base[:3]), turned], -1)

@@ -1,0 +1,86 @@
+"""Terms of planners' costs that push an object over a table to its goal, used as :mod:`.terms` are."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from pwm_gym.costs import contacts, terms
+from pwm_gym.costs.contacts import Points
+from pwm_gym.costs.terms import Info, Term
+from pwm_gym.robots.gripper import Gripper
+
+__all__ = ["behind", "goal_distance", "pushing_terms", "wrong_side"]
+
+_NEAR = 0.02  # metres from the goal within which the way there counts most
+_LEVEL = 0.03  # metres over an object's centre above which the tool is clear of it
+
+
+def goal_distance(name: str, slowing: float | None = None) -> Term:
+    """Distance (B,) in the plane from where an object comes to rest to the goal, sharper when near.
+
+    Args:
+        name: the object.
+        slowing: by how much, metres a step in a step, friction slows it down; None: it stops at once.
+    """
+
+    def term(points: Points, info: Info) -> Tensor:
+        place = contacts.centre(points, name)
+        if slowing is not None:
+            step = info["velocity"][name].mean(-2)
+            place = place + step * step.norm(dim=-1, keepdim=True) / (2.0 * slowing)
+        way = (place - info["goal"])[..., :2].norm(dim=-1)
+        return 5.0 * way + torch.tanh(way / _NEAR)
+
+    return term
+
+
+def behind(name: str, gripper: Gripper, contact: float) -> Term:
+    """Distance (B,) from the tool to where it pushes the object towards the goal.
+
+    Args:
+        name: the object.
+        gripper: that pushes.
+        contact: distance, metres, of the tool from the object's centre there.
+    """
+
+    def term(points: Points, info: Info) -> Tensor:
+        centre = contacts.centre(points, name)
+        way = (info["goal"] - centre) * centre.new_tensor([1.0, 1.0, 0.0])
+        ahead = way / way.norm(dim=-1, keepdim=True).clamp_min(1e-6)
+        return (contacts.tool_centre(points, gripper) - (centre - contact * ahead)).norm(dim=-1)
+
+    return term
+
+
+def wrong_side(name: str, gripper: Gripper, contact: float) -> Term:
+    """How far (B,) a low tool is before the object rather than behind it, metres: it would push it away."""
+
+    def term(points: Points, info: Info) -> Tensor:
+        centre, tool = contacts.centre(points, name), contacts.tool_centre(points, gripper)
+        way = (info["goal"] - centre)[..., :2]
+        ahead = way / way.norm(dim=-1, keepdim=True).clamp_min(1e-6)
+        before = ((tool - centre)[..., :2] * ahead).sum(-1) + 0.5 * contact
+        low = torch.sigmoid((_LEVEL - (tool - centre)[..., 2]) / 0.005)
+        return low * before.clamp(0.0, 2.0 * contact)
+
+    return term
+
+
+def pushing_terms(
+    name: str, gripper: Gripper, contact: float, slowing: float | None = None
+) -> dict[str, tuple[float, Term]]:
+    """Weighted terms of a planner's cost: the object near its goal, the tool behind it and not on the table.
+
+    Args:
+        name: the object.
+        gripper: that pushes.
+        contact: distance, metres, of the tool from the object's centre where it pushes.
+        slowing: by how much, metres a step in a step, friction slows the object down; None: it stops at once.
+    """
+    return {
+        "goal_distance": (2.0, goal_distance(name, slowing)),
+        "behind": (1.5, behind(name, gripper, contact)),
+        "wrong_side": (8.0, wrong_side(name, gripper, contact)),
+        "ground_contact": (0.5, terms.ground_contact),
+    }

@@ -1,0 +1,376 @@
+"""Any MuJoCo model as a simulator."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+
+from pwm_gym.errors import PwmGymError, SceneError, unknown_name
+from pwm_gym.robots.control import Control
+from pwm_gym.scene import Scene
+from pwm_gym.scene.poses import compose, relative, rotation
+from pwm_gym.sim.mujoco.meshes import body_mesh, welded
+from pwm_gym.sim.mujoco.restore import JointSolver, place_free, place_mocaps, set_free_velocity
+from pwm_gym.sim.mujoco.worlds import World, XmlWorld
+from pwm_gym.sim.protocol import SimOutcome
+
+if TYPE_CHECKING:
+    import trimesh
+
+__all__ = ["MujocoSimulator"]
+
+_MOST_BODIES = 200
+_DIVERGED = ("mjWARN_BADQPOS", "mjWARN_BADQVEL", "mjWARN_BADQACC")
+_WORLD = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+
+
+class MujocoSimulator:
+    """A MuJoCo model, one environment, physics only.
+
+    Each control step begins with a cold solver, and positions are read after the step's last instant: the future
+    depends on nothing that a scene does not tell. Robots are trees of bodies that an actuator or a mocap body drives.
+
+    Args:
+        world: steps the model.
+        bodies: entity name -> body; what is fixed to a body belongs to it.
+        judge: tells reward, success and grasp of the present instant; by default there is no reward.
+        base: pose (7,) of the public frame in MuJoCo's world, or a body of the model whose frame it is.
+        robot: root body of the robot, where it is not what actuators and mocap bodies drive.
+        control: what the actions are taken to mean; its size and period are checked against the world's.
+        visual: entities whose surface is that of geoms which collide with nothing.
+
+    Raises:
+        UnknownNameError: a body that the model lacks.
+        PwmGymError: ``control`` is of another size or period, or the model has something that is not supported.
+    """
+
+    def __init__(
+        self,
+        world: World,
+        bodies: Mapping[str, str],
+        judge: Callable[[MujocoSimulator], SimOutcome] | None = None,
+        base: Sequence[float] | np.ndarray | str = _WORLD,
+        robot: str | None = None,
+        control: Control | None = None,
+        visual: Sequence[str] = (),
+    ) -> None:
+        self.world, self.model, self.data = world, world.model, world.data
+        self.action_size = world.action_size
+        self._bodies = dict(bodies)
+        self._judge, self._visual = judge, tuple(visual)
+        _check_supported(self.model)
+        if control is not None:
+            self._check_control(control)
+        self._ids = np.array([self._find(body) for body in self._bodies.values()])
+        entities = {int(k) for k in self._ids}
+        self._groups = {
+            name: [number for number, _ in welded(self.model, int(k), entities)]
+            for name, k in zip(self._bodies, self._ids, strict=True)
+        }
+        self._solver: JointSolver
+        self._bind(robot)
+        self.reset(0)
+        self._base = np.array(self._world_pose(self._find(base)) if isinstance(base, str) else base, float)
+        self._base_matrix = rotation(self._base).as_matrix()
+        self._base_product = _product_with_inverse(self._base[3:])
+
+    @classmethod
+    def from_xml(cls, xml: str | Path, bodies: Mapping[str, str], frame_skip: int = 20, **options: Any) -> Self:
+        """A simulator of an XML, whose actions span the ranges of its actuators.
+
+        Args:
+            xml: path of the file, or its text.
+            bodies: entity name -> body.
+            frame_skip: MuJoCo's steps in one control step.
+            options: of the simulator; ``act``, ``action_size`` and ``start`` are those of :class:`XmlWorld`.
+        """
+        own = {name: options.pop(name) for name in ("act", "action_size", "start") if name in options}
+        return cls(XmlWorld(xml, frame_skip=frame_skip, **own), bodies, **options)
+
+    def _check_control(self, control: Control) -> None:
+        world = self.world
+        if control.size != world.action_size:
+            raise PwmGymError(f"the world takes actions of {world.action_size} components; expected {control.size}")
+        if abs(control.period - world.period) > 1e-6:
+            raise PwmGymError(
+                f"the world has a control period of {world.period:.4f} s; expected {control.period:.4f} s"
+            )
+
+    # What the model is made of ------------------------------------------------------------------------------------
+
+    def _find(self, body: str) -> int:
+        names = [self.model.body(k).name for k in range(self.model.nbody)]
+        if body not in names:
+            raise unknown_name("body of the model", body, names)
+        return names.index(body)
+
+    def _bind(self, robot: str | None) -> None:
+        """Sort the model's joints: the robot's, those of free bodies, and all others."""
+        model = self.model
+        roots = _driven_roots(model) if robot is None else {self._find(robot)}
+        owned = {k for k in range(model.nbody) if roots & {*_ancestors(model, k)}}
+        mine = np.array([model.jnt_bodyid[k] in owned for k in range(model.njnt)], bool)
+        self._links = {name for name, k in zip(self._bodies, self._ids, strict=True) if int(k) in owned}
+        self._robot = _scalar_joints(model, np.flatnonzero(mine))
+        free = np.flatnonzero(~mine & (model.jnt_type == _joint_type("FREE")))
+        owner = {int(model.jnt_bodyid[k]): int(k) for k in free}
+        places = zip(self._bodies, self._ids, strict=True)
+        self._free = {name: owner[int(k)] for name, k in places if int(k) in owner}
+        others = np.flatnonzero(~mine & (model.jnt_type != _joint_type("FREE")))
+        self._bind_articulated({int(k) for k in others})
+
+    def _bind_articulated(self, joints: set[int]) -> None:
+        """Find the entities that ``joints`` move."""
+        model = self.model
+        dofs = [k for k in range(model.nv) if int(model.dof_jntid[k]) in joints]
+        moved = {int(model.jnt_bodyid[k]) for k in joints}
+        self._articulated = {
+            name: int(k)
+            for name, k in zip(self._bodies, self._ids, strict=True)
+            if moved & {*_ancestors(model, int(k))} and name not in self._free
+        }
+        self._solver = JointSolver(model, np.array(dofs, int), tuple(self._articulated.values()))
+
+    def meshes(self) -> dict[str, trimesh.Trimesh]:
+        """Surfaces of the entities, in each entity's own frame (metres)."""
+        entities = {int(k) for k in self._ids}
+        return {
+            name: body_mesh(self.model, int(k), entities, name in self._visual)
+            for name, k in zip(self._bodies, self._ids, strict=True)
+        }
+
+    def assets(self) -> tuple[str, ...]:
+        """Name of each entity (E,): what they look like is always the same."""
+        return tuple(self._bodies)
+
+    # Where episodes start -----------------------------------------------------------------------------------------
+
+    def reset(self, seed: int) -> None:
+        """Start the episode of ``seed``."""
+        self.world.reset(int(seed))
+        self._forward()
+
+    def restore(self, scene: Scene, rebuild: bool = True) -> None:
+        """Put robot, objects and goal where ``scene`` says, with the velocities that its poses and joints tell.
+
+        Args:
+            scene: to start from.
+            rebuild: makes no difference: MuJoCo's future depends on its state alone.
+
+        Raises:
+            SceneError: the scene has no joint positions, those of another robot, other entities, or an articulated
+                part where its joints do not bring it.
+        """
+        joints = self._check_scene(scene)
+        poses = np.array([[compose(self._base, pose) for pose in step] for step in scene.poses])  # (3, E, 7)
+        self.world.clear()
+        self._set_robot(joints)
+        self._set_articulated(poses)
+        for name, joint in self._free.items():
+            self._set_free(joint, poses[:, [*self._bodies].index(name)])
+        place_mocaps(self.model, self.data)
+        self.world.set_goal(self._outward(np.asarray(scene.goal, float)))
+        self._forward()
+
+    def _check_scene(self, scene: Scene) -> np.ndarray:
+        """The scene's joint positions and velocities (2, J)."""
+        if scene.layout.names != tuple(self._bodies):
+            raise SceneError(f"the scene's entities are {scene.layout.names}; expected {tuple(self._bodies)}")
+        if scene.joints is None:
+            raise SceneError("scene.joints is None; a simulator starts only from a scene with joint positions")
+        if scene.joints.shape != (2, len(self._robot)):
+            raise SceneError(
+                f"scene.joints has {scene.joints.shape[-1]} joints; the simulator's robot has {len(self._robot)}"
+            )
+        return np.asarray(scene.joints, float)
+
+    def _set_robot(self, joints: np.ndarray) -> None:
+        """Joint positions and velocities a step (2, J)."""
+        self.data.qpos[self.model.jnt_qposadr[self._robot]] = joints[0]
+        self.data.qvel[self.model.jnt_dofadr[self._robot]] = joints[1] / self.world.period
+
+    def _set_articulated(self, poses: np.ndarray) -> None:
+        """Place articulated entities by poses (3, E, 7) in the world, with the velocities that these tell."""
+        if not self._articulated:
+            return
+        own = [[*self._bodies].index(name) for name in self._articulated]
+        self._solver.solve(self.data, poses[1, own])
+        before = self.data.qpos.copy()
+        self._solver.solve(self.data, poses[0, own])
+        velocities = self._solver.velocities(self.data, before, 1.0 / self.world.period)
+        self.data.qvel[self._solver.dofs] = velocities
+
+    def _set_free(self, joint: int, poses: np.ndarray) -> None:
+        """Pose and velocity of a free body of its poses (3, 7) in the world."""
+        place_free(self.data, int(self.model.jnt_qposadr[joint]), poses[0])
+        set_free_velocity(self.data, int(self.model.jnt_dofadr[joint]), poses, 1.0 / self.world.period)
+
+    def place(self, name: str, pose: np.ndarray) -> None:
+        """Put a free body at rest at a pose (7,) in the base's frame.
+
+        Raises:
+            UnknownNameError: there is no such entity.
+            SceneError: it is no free body.
+        """
+        if name not in self._bodies:
+            raise unknown_name("entity", name, self._bodies)
+        if name not in self._free:
+            raise SceneError(f"{name!r} is no free body; only free bodies can be placed")
+        self._set_free(self._free[name], np.stack([compose(self._base, pose)] * 3))
+        self._forward()
+
+    # Steps and what they show -------------------------------------------------------------------------------------
+
+    def step(self, action: np.ndarray) -> SimOutcome:
+        """Apply an action (A,) in [-1, 1] for one control step.
+
+        Raises:
+            PwmGymError: the action is of another size, or the simulation diverged.
+        """
+        action = np.asarray(action, dtype=np.float32)
+        if action.shape != (self.action_size,):
+            raise PwmGymError(f"the action has shape {action.shape}; expected ({self.action_size},)")
+        self.data.qacc_warmstart[:] = 0.0
+        self.world.step(action)
+        self._check_finite()
+        self._forward()
+        return self.outcome()
+
+    def _forward(self) -> None:
+        """Bring all that depends on positions and velocities up to date with them."""
+        import mujoco
+
+        mujoco.mj_forward(self.model, self.data)
+
+    def _check_finite(self) -> None:
+        import mujoco
+
+        warnings = [self.data.warning[int(getattr(mujoco.mjtWarning, name))] for name in _DIVERGED]
+        for warning in warnings:
+            if warning.number:
+                dof = min(int(warning.lastinfo), self.model.nv - 1)
+                body = self.model.body(int(self.model.dof_bodyid[dof])).name
+                warning.number = 0
+                raise PwmGymError(f"the simulation diverged: body {body!r} moves beyond all bounds or is not a number")
+
+    def outcome(self) -> SimOutcome:
+        """Reward, success and grasp of the present instant."""
+        return SimOutcome(0.0, False, False) if self._judge is None else self._judge(self)
+
+    def poses(self) -> np.ndarray:
+        """Entity poses (E, 7) in the base's frame."""
+        places = (self.data.xpos[self._ids] - self._base[:3]) @ self._base_matrix
+        turns = self.data.xquat[self._ids] @ self._base_product.T
+        turns[turns[:, 0] < 0.0] *= -1.0
+        return np.concatenate([places, turns], -1)
+
+    def pose(self, name: str) -> np.ndarray:
+        """Pose (7,) of one entity in the base's frame."""
+        return relative(self._base, self._world_pose(int(self._ids[[*self._bodies].index(name)]))[None])[0]
+
+    def _world_pose(self, body: int) -> np.ndarray:
+        return np.concatenate([self.data.xpos[body], self.data.xquat[body]])
+
+    def touching(self, first: str, second: str) -> bool:
+        """Whether two entities are in contact."""
+        for name in (first, second):
+            if name not in self._bodies:
+                raise unknown_name("entity", name, self._bodies)
+        pairs = self.model.geom_bodyid[self.data.contact.geom]  # (C, 2)
+        one, other = (np.isin(pairs, self._groups[name]) for name in (first, second))
+        return bool(((one[:, 0] & other[:, 1]) | (one[:, 1] & other[:, 0])).any())
+
+    def goal(self) -> np.ndarray:
+        """Goal (G,), float32; a position is in the base's frame, metres."""
+        goal = self.world.goal()
+        if goal.shape == (3,):
+            goal = rotation(self._base).inv().apply(goal - self._base[:3])
+        return goal.astype(np.float32)
+
+    def _outward(self, goal: np.ndarray) -> np.ndarray:
+        """A goal (G,) as the world has it."""
+        return compose(self._base, np.r_[goal, 1, 0, 0, 0])[:3] if goal.shape == (3,) else goal
+
+    def joints(self) -> np.ndarray:
+        """Joint positions and velocities (2, J) float32: radians (sliding joints: metres), and these a control step."""
+        positions = self.data.qpos[self.model.jnt_qposadr[self._robot]]
+        speeds = self.data.qvel[self.model.jnt_dofadr[self._robot]] * self.world.period
+        return np.stack([positions, speeds]).astype(np.float32)
+
+    def close(self) -> None:
+        """Free the simulator; calling it twice is harmless."""
+        self.world.close()
+
+
+def _product_with_inverse(quaternion: np.ndarray) -> np.ndarray:
+    """Matrix (4, 4) that multiplies a quaternion, from the left, by the inverse of a unit ``quaternion`` (4,)."""
+    w, x, y, z = quaternion
+    return np.array([[w, x, y, z], [-x, w, z, -y], [-y, -z, w, x], [-z, y, -x, w]])
+
+
+def _joint_type(name: str) -> int:
+    import mujoco
+
+    return int(getattr(mujoco.mjtJoint, f"mjJNT_{name}"))
+
+
+def _scalar_joints(model: Any, joints: np.ndarray) -> np.ndarray:
+    """Numbers (J,) of the robot's joints, all of one degree of freedom."""
+    for joint in joints.tolist():
+        if model.jnt_type[joint] not in (_joint_type("SLIDE"), _joint_type("HINGE")):
+            name = model.joint(joint).name or f"number {joint}"
+            raise PwmGymError(f"the robot's joint {name!r} is free or a ball; expected slides and hinges")
+    return joints
+
+
+def _ancestors(model: Any, body: int) -> list[int]:
+    """A body and those that it hangs on, without the world."""
+    found = []
+    while body > 0:
+        found.append(int(body))
+        body = int(model.body_parentid[body])
+    return found
+
+
+def _driven_roots(model: Any) -> set[int]:
+    """Outermost moving bodies of the trees that an actuator or a mocap body drives."""
+    import mujoco
+
+    driven = [body for k in range(model.nu) for body in _actuated(model, k)]
+    for k in np.flatnonzero(model.eq_type == int(mujoco.mjtEq.mjEQ_WELD)):
+        pair = int(model.eq_obj1id[k]), int(model.eq_obj2id[k])
+        if any(model.body_mocapid[b] >= 0 for b in pair):
+            driven += [b for b in pair if model.body_mocapid[b] < 0]
+    moving = ([b for b in _ancestors(model, body) if model.body_jntnum[b]] for body in driven)
+    return {bodies[-1] for bodies in moving if bodies}
+
+
+def _actuated(model: Any, actuator: int) -> list[int]:
+    """Bodies that an actuator drives, through a joint, a tendon, a site or directly."""
+    import mujoco
+
+    kinds, target = mujoco.mjtTrn, int(model.actuator_trnid[actuator, 0])
+    kind = int(model.actuator_trntype[actuator])
+    if kind in (int(kinds.mjTRN_JOINT), int(kinds.mjTRN_JOINTINPARENT)):
+        return [int(model.jnt_bodyid[target])]
+    if kind == int(kinds.mjTRN_TENDON):
+        first, count = int(model.tendon_adr[target]), int(model.tendon_num[target])
+        wraps = range(first, first + count)
+        joints = [k for k in wraps if model.wrap_type[k] == int(mujoco.mjtWrap.mjWRAP_JOINT)]
+        sites = [k for k in wraps if model.wrap_type[k] == int(mujoco.mjtWrap.mjWRAP_SITE)]
+        return [int(model.jnt_bodyid[model.wrap_objid[k]]) for k in joints] + [
+            int(model.site_bodyid[model.wrap_objid[k]]) for k in sites
+        ]
+    if kind == int(kinds.mjTRN_BODY):
+        return [target]
+    return [int(model.site_bodyid[target])] if kind == int(kinds.mjTRN_SITE) else []
+
+
+def _check_supported(model: Any) -> None:
+    if model.nbody > _MOST_BODIES:
+        raise PwmGymError(f"the model has {model.nbody} bodies; expected {_MOST_BODIES} at most")
+    if model.nflex:
+        raise PwmGymError(f"the model has a flexible body {model.flex(0).name!r}; expected rigid ones")

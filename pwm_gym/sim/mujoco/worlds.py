@@ -1,0 +1,204 @@
+"""What steps a MuJoCo model: an XML of one's own, or an environment of Gymnasium-Robotics."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import redirect_stderr
+from io import StringIO
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from pwm_gym.errors import PwmGymError
+
+__all__ = ["RoboticsWorld", "World", "XmlWorld"]
+
+_NO_TIME_LIMIT = 1_000_000  # the package's environments own their limits
+
+
+class World(Protocol):
+    """A MuJoCo model with its data, and the meaning of actions in it. Everything is in MuJoCo's world frame."""
+
+    model: Any
+    """``mujoco.MjModel``."""
+    data: Any
+    """``mujoco.MjData``."""
+    action_size: int
+    period: float
+    """Seconds per control step."""
+
+    def reset(self, seed: int) -> None:
+        """Start the episode of ``seed``."""
+
+    def clear(self) -> None:
+        """Go to a state that is always the same, with nothing left of what was before."""
+
+    def step(self, action: np.ndarray) -> None:
+        """Apply an action (A,) in [-1, 1] for one control step."""
+
+    def goal(self) -> np.ndarray:
+        """Goal (G,) of the episode; one of three values is a position, metres."""
+
+    def set_goal(self, goal: np.ndarray) -> None:
+        """Make ``goal`` (G,) that of the episode."""
+
+    def close(self) -> None:
+        """Free what it holds; calling it twice is harmless."""
+
+
+class XmlWorld:
+    """A model of an XML, driven through its actuators.
+
+    Args:
+        xml: path of the file, or its text.
+        act: (model, data, action (A,)) -> controls (nu,); by default each component spans its actuator's range.
+        action_size: A, where ``act`` is given; by default there is one component an actuator.
+        frame_skip: MuJoCo's steps in one control step.
+        start: (model, data, rng) -> goal (G,) or None; sets positions where episodes shall start from different ones.
+            By default they start from the model's first keyframe, or else from its reference.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        PwmGymError: MuJoCo cannot read it, or some actuator has no range and ``act`` is not given.
+    """
+
+    def __init__(
+        self,
+        xml: str | Path,
+        act: Callable[[Any, Any, np.ndarray], np.ndarray] | None = None,
+        action_size: int | None = None,
+        frame_skip: int = 20,
+        start: Callable[[Any, Any, np.random.Generator], np.ndarray | None] | None = None,
+    ) -> None:
+        import mujoco
+
+        if frame_skip < 1:
+            raise PwmGymError(f"frame_skip={frame_skip}; expected 1 or more")
+        self.model = _load(xml)
+        self.data = mujoco.MjData(self.model)
+        self.period = float(self.model.opt.timestep) * frame_skip
+        self.action_size = int(self.model.nu) if action_size is None else action_size
+        self._act = self._spread if act is None else act
+        self._start, self._frame_skip = start, frame_skip
+        self._goal = np.zeros(0)
+        if act is None:
+            self._check_ranges()
+
+    def _check_ranges(self) -> None:
+        for k in range(self.model.nu):
+            if not self.model.actuator_ctrllimited[k]:
+                name = self.model.actuator(k).name or f"number {k}"
+                raise PwmGymError(f"actuator {name!r} has no ctrlrange; expected one, or a function `act`")
+
+    @staticmethod
+    def _spread(model: Any, data: Any, action: np.ndarray) -> np.ndarray:
+        low, high = model.actuator_ctrlrange.T
+        return low + 0.5 * (action + 1.0) * (high - low)
+
+    def reset(self, seed: int) -> None:
+        """Start the episode of ``seed``."""
+        self.clear()
+        if self._start is not None:
+            goal = self._start(self.model, self.data, np.random.default_rng(seed))
+            self._goal = np.zeros(0) if goal is None else np.asarray(goal, float)
+
+    def clear(self) -> None:
+        """Go to the first keyframe, or else to the model's reference."""
+        import mujoco
+
+        if self.model.nkey:
+            mujoco.mj_resetDataKeyframe(self.model, self.data, 0)
+        else:
+            mujoco.mj_resetData(self.model, self.data)
+
+    def step(self, action: np.ndarray) -> None:
+        """Apply an action (A,) in [-1, 1] for one control step."""
+        import mujoco
+
+        self.data.ctrl[:] = self._act(self.model, self.data, action)
+        mujoco.mj_step(self.model, self.data, nstep=self._frame_skip)
+
+    def goal(self) -> np.ndarray:
+        """Goal (G,) that the start gave; (0,) where it gave none."""
+        return self._goal.copy()
+
+    def set_goal(self, goal: np.ndarray) -> None:
+        """Make ``goal`` (G,) that of the episode."""
+        self._goal = np.array(goal, float)
+
+    def close(self) -> None:
+        """Nothing: MuJoCo frees its memory itself."""
+
+
+class RoboticsWorld:
+    """An environment of Gymnasium-Robotics that steps its model itself.
+
+    Args:
+        env_id: Gymnasium id, such as ``"FetchPush-v4"``.
+
+    Raises:
+        PwmGymError: the environment has no MuJoCo model and data, or its episodes have no goal.
+    """
+
+    def __init__(self, env_id: str) -> None:
+        self._env = _make(env_id)
+        for name in ("model", "data", "goal", "initial_qpos"):
+            if not hasattr(self._env, name):
+                raise PwmGymError(f"{env_id} has no {name!r}; expected a goal environment of Gymnasium-Robotics")
+        self.model, self.data = self._env.model, self._env.data
+        self.action_size = int(np.prod(self._env.action_space.shape))
+        self.period = float(self._env.dt)
+
+    def reset(self, seed: int) -> None:
+        """Start the environment's episode of ``seed``."""
+        self._env.reset(seed=int(seed))
+
+    def clear(self) -> None:
+        """Go to the robot's initial positions; objects are where the model puts them."""
+        import mujoco
+
+        mujoco.mj_resetData(self.model, self.data)
+        self.data.qpos[:] = self._env.initial_qpos
+
+    def step(self, action: np.ndarray) -> None:
+        """The environment's own step."""
+        self._env.step(action)
+
+    def goal(self) -> np.ndarray:
+        """The environment's desired goal (G,)."""
+        return np.array(self._env.goal, float)
+
+    def set_goal(self, goal: np.ndarray) -> None:
+        """Make ``goal`` (G,) the environment's."""
+        self._env.goal = np.array(goal, float)
+
+    def close(self) -> None:
+        """Free the environment's renderer; calling it twice is harmless."""
+        if self._env is not None:
+            self._env.close()
+            self._env = None
+
+
+def _load(xml: str | Path) -> Any:
+    import mujoco
+
+    text = isinstance(xml, str) and xml.lstrip().startswith("<")
+    if not text and not Path(xml).exists():
+        raise FileNotFoundError(f"{xml} does not exist; expected a MuJoCo XML")
+    try:
+        if text:
+            return mujoco.MjModel.from_xml_string(xml)
+        return mujoco.MjModel.from_xml_path(str(xml))
+    except ValueError as error:
+        raise PwmGymError(f"MuJoCo cannot read the model: {error}") from error
+
+
+def _make(env_id: str) -> Any:
+    import gymnasium as gym
+
+    with redirect_stderr(StringIO()):  # it prints a note on Adroit's rewards
+        import gymnasium_robotics
+
+        gym.register_envs(gymnasium_robotics)
+    return gym.make(env_id, max_episode_steps=_NO_TIME_LIMIT, disable_env_checker=True).unwrapped

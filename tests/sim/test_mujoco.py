@@ -1,0 +1,313 @@
+"""Any MuJoCo model as a simulator."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from pwm_gym.errors import PwmGymError, SceneError, UnknownNameError
+from pwm_gym.robots import Channel, Control
+from pwm_gym.scene import Layout, Scene
+from pwm_gym.sim import PlacesBodies, Simulator
+from pwm_gym.sim.mujoco import MujocoSimulator, RoboticsWorld, XmlWorld
+
+ROBOT = """
+    <body name="pusher" pos="-0.3 0 0.035">
+      <joint name="x" type="slide" axis="1 0 0" damping="5" range="-1 1"/>
+      <geom type="sphere" size="0.03" mass="0.3"/>
+    </body>"""
+ACTUATOR = '<actuator><position joint="x" kp="100" ctrlrange="-0.5 0.5"/></actuator>'
+
+
+def xml(world: str, more: str = "", actuator: str = ACTUATOR) -> str:
+    plane = '<geom type="plane" size="2 2 0.1"/>'
+    return f'<mujoco><compiler angle="radian"/><worldbody>{plane}{ROBOT}{world}</worldbody>{more}{actuator}</mujoco>'
+
+
+BOX = '<body name="box" pos="0 0 0.03"><freejoint/><geom type="box" size="0.03 0.04 0.03" mass="0.1"/></body>'
+CABINET = """
+    <body name="cabinet" pos="0.3 0 0.1">
+      <geom type="box" size="0.02 0.1 0.1" contype="0" conaffinity="0" mass="1"/>
+      <geom type="box" size="0.02 0.1 0.1" mass="1"/>
+      <body name="drawer" pos="-0.1 0 -0.05">
+        <joint name="slide" type="slide" axis="1 0 0" damping="2" range="-0.2 0.1"/>
+        <geom type="box" size="0.03 0.05 0.02" mass="0.2"/>
+        <body name="lid" pos="0 0 0.03" quat="0.9659258 0 0 0.2588190">
+          <joint name="hinge" type="hinge" axis="0 0.6 0.8" pos="0.03 0 0" damping="0.05" range="-2 2"/>
+          <geom type="box" size="0.03 0.04 0.005" pos="0 0 0.01" mass="0.05" contype="0" conaffinity="0"/>
+          <geom type="box" size="0.03 0.04 0.005" pos="0 0 0.01" mass="0.05"/>
+        </body>
+      </body>
+    </body>"""
+FOUR_BAR = """
+    <body name="crank" pos="0 0.3 0.3">
+      <joint name="a" type="hinge" axis="0 1 0" damping="0.02"/>
+      <geom type="capsule" fromto="0 0 0 0 0 0.1" size="0.01" mass="0.1"/>
+      <body name="rod" pos="0 0 0.1">
+        <joint name="b" type="hinge" axis="0 1 0" damping="0.02"/>
+        <geom type="capsule" fromto="0 0 0 0.2 0 0" size="0.01" mass="0.1" contype="0" conaffinity="0"/>
+      </body>
+    </body>
+    <body name="rocker" pos="0.2 0.3 0.3">
+      <joint name="c" type="hinge" axis="0 1 0" damping="0.02"/>
+      <geom type="capsule" fromto="0 0 0 0 0 0.1" size="0.01" mass="0.1" contype="0" conaffinity="0"/>
+    </body>"""
+CONNECT = '<equality><connect body1="rod" body2="rocker" anchor="0.2 0 0" solref="0.004 1"/></equality>'
+HAND = """
+    <body name="target" mocap="true" pos="0.1 -0.4 0.3">
+      <geom type="sphere" size="0.01" contype="0" conaffinity="0"/>
+    </body>
+    <body name="hand" pos="0.1 -0.4 0.3">
+      <joint name="hx" type="slide" axis="1 0 0"/><joint name="hz" type="slide" axis="0 0 1"/>
+      <geom type="box" size="0.02 0.03 0.04" mass="0.5"/>
+    </body>"""
+WELD = '<equality><weld body1="target" body2="hand" relpose="0.01 0 0.02 1 0 0 0"/></equality>'
+
+
+def make(text, *names, **options):
+    return MujocoSimulator.from_xml(text, {name: name for name in names}, **options)
+
+
+def scene_of(simulator, last, goal=(), joints=None):
+    """The scene of the last three poses, newest first."""
+    names = simulator.assets()
+    layout = Layout.build([(name, 4) for name in names])
+    joints = simulator.joints() if joints is None else joints
+    return Scene("X", layout, np.zeros((layout.points, 3), np.float32), np.stack(last), np.array(goal), joints)
+
+
+def run(simulator, actions):
+    """Poses (T + 1, E, 7) under actions (T, A)."""
+    out = [simulator.poses()]
+    for action in actions:
+        simulator.step(action)
+        out.append(simulator.poses())
+    return np.array(out)
+
+
+@pytest.fixture(scope="module")
+def pushing():
+    return make(xml(BOX), "pusher", "box")
+
+
+def test_it_is_a_simulator_that_places_bodies(pushing):
+    assert isinstance(pushing, Simulator) and isinstance(pushing, PlacesBodies)
+    pushing.reset(0)
+    pushing.place("box", np.array([0.4, 0.1, 0.2, 0.0, 1.0, 0.0, 0.0]))
+    np.testing.assert_allclose(pushing.poses()[1], [0.4, 0.1, 0.2, 0, 1, 0, 0], atol=1e-12)
+    pushing.step(np.zeros(1))
+    assert pushing.poses()[1, 2] < 0.2  # it falls
+    with pytest.raises(SceneError, match="'pusher' is no free body"):
+        pushing.place("pusher", pushing.poses()[0])
+
+
+@pytest.mark.parametrize(
+    ("geom", "extents"),
+    [
+        ('type="box" size="0.01 0.02 0.03"', [0.02, 0.04, 0.06]),
+        ('type="sphere" size="0.02"', [0.04, 0.04, 0.04]),
+        ('type="cylinder" size="0.01 0.03"', [0.02, 0.02, 0.06]),
+        ('type="capsule" size="0.01 0.03"', [0.02, 0.02, 0.08]),
+        ('type="ellipsoid" size="0.01 0.02 0.03"', [0.02, 0.04, 0.06]),
+        ('type="mesh" mesh="wedge"', [0.05, 0.03, 0.02]),
+    ],
+)
+def test_canonical_surfaces_have_the_geoms_extents(geom, extents):
+    """Shifted and turned a quarter about z: x and y change places."""
+    wedge = '<asset><mesh name="wedge" vertex="0 0 0 0.05 0 0 0 0.03 0 0 0 0.02"/></asset>'
+    place = 'pos="0.1 0.2 0.3" quat="0.70710678 0 0 0.70710678"'
+    fixed = f'<body name="fixed" {place}><geom {geom} mass="0.1"/></body>'
+    thing = f'<body name="thing" pos="0 0 1"><freejoint/>{fixed}</body>'
+    mesh = make(xml(thing, wedge), "thing").meshes()["thing"]
+    np.testing.assert_allclose(mesh.extents, np.array(extents)[[1, 0, 2]], rtol=0.01)
+    assert mesh.is_watertight
+    if "mesh" not in geom:
+        np.testing.assert_allclose(mesh.bounds.mean(0), [0.1, 0.2, 0.3], atol=1e-6)
+
+
+def test_a_stored_mesh_stands_where_its_vertices_were():
+    """MuJoCo moves a mesh to its centre of mass and turns it to its axes of inertia."""
+    wedge = '<asset><mesh name="wedge" vertex="0 0 0 0.05 0 0 0 0.03 0 0 0 0.02"/></asset>'
+    thing = '<body name="thing"><freejoint/><geom type="mesh" mesh="wedge" mass="0.1"/></body>'
+    mesh = make(xml(thing, wedge), "thing").meshes()["thing"]
+    np.testing.assert_allclose(mesh.bounds, [[0, 0, 0], [0.05, 0.03, 0.02]], atol=1e-6)
+
+
+def test_only_what_collides_is_a_surface_unless_the_visual_one_is_asked_for():
+    geoms = '<geom type="sphere" size="0.05" contype="0" conaffinity="0"/><geom type="sphere" size="0.02"/>'
+    text = xml(f'<body name="ball" pos="0 0 1"><freejoint/>{geoms}</body>')
+    assert make(text, "ball").meshes()["ball"].extents == pytest.approx([0.04] * 3, rel=0.01)
+    assert make(text, "ball", visual=["ball"]).meshes()["ball"].extents == pytest.approx([0.10] * 3, rel=0.01)
+
+
+def test_the_same_seed_and_a_fresh_simulator_give_the_same_future_bit_for_bit():
+    def start(model, data, rng):
+        data.qpos[1:3] = rng.uniform(-0.05, 0.05, 2)
+
+    actions = np.random.default_rng(0).uniform(-1, 1, (20, 1))
+    first, second = (make(xml(BOX), "pusher", "box", start=start) for _ in range(2))
+    first.reset(3)
+    wanted = run(first, actions)
+    first.reset(4)
+    assert np.abs(first.poses() - wanted[0]).max() > 1e-3
+    for simulator in (first, second):
+        simulator.reset(3)
+        np.testing.assert_array_equal(run(simulator, actions), wanted)
+
+
+def test_a_restored_scene_has_the_future_of_the_episode(pushing):
+    rng = np.random.default_rng(1)
+    pushing.reset(0)
+    before = run(pushing, np.full((60, 1), 0.54))  # to the box, and a while there
+    assert before[-1, 1, 0] > before[0, 1, 0] + 0.01
+    scene, actions = scene_of(pushing, before[-3:][::-1]), rng.uniform(0.5, 0.8, (10, 1))
+    wanted = run(pushing, actions)
+    assert np.abs(wanted[-1, 1] - wanted[0, 1]).max() > 0.01
+    pushing.restore(scene)
+    again = run(pushing, actions)
+    np.testing.assert_allclose(again, wanted, atol=1e-4)
+    pushing.restore(scene)
+    np.testing.assert_array_equal(run(pushing, actions), again)
+
+
+def test_a_restored_body_flies_on(pushing):
+    pushing.reset(0)
+    pose = np.array([0.4, 0.1, 0.5, 1.0, 0.0, 0.0, 0.0])
+    turn = Rotation.from_rotvec([0.0, 0.1, 0.2])
+    pose[3:] = turn.as_quat(scalar_first=True)
+    before = np.array([0.38, 0.1, 0.5, 1.0, 0.0, 0.0, 0.0])
+    pusher = pushing.poses()[0]
+    pushing.restore(scene_of(pushing, [[pusher, p] for p in (pose, before, before)]))
+    pushing.step(np.zeros(1))
+    after = pushing.poses()[1]
+    assert after[0] == pytest.approx(0.42, abs=1e-3)
+    turned = Rotation.from_quat(after[3:], scalar_first=True) * turn.inv()
+    np.testing.assert_allclose(turned.as_rotvec(), [0.0, 0.1, 0.2], atol=0.01)
+
+
+def test_articulated_bodies_are_restored_by_their_poses():
+    names = ("pusher", "cabinet", "drawer", "lid")
+    simulator, other = (make(xml(CABINET), *names) for _ in range(2))
+    simulator.reset(0)
+    simulator.data.qpos[1:] = [-0.12, 0.7]
+    simulator.data.qvel[1:] = [0.3, -1.0]
+    poses = run(simulator, np.zeros((4, 1)))
+    assert np.abs(poses[-1] - poses[0])[2:].max() > 5e-3
+    other.restore(scene_of(simulator, poses[-3:][::-1]))
+    np.testing.assert_allclose(other.poses(), poses[-1], atol=1e-7)
+    np.testing.assert_allclose(other.data.qpos, simulator.data.qpos, atol=1e-7)
+    np.testing.assert_allclose(other.data.qvel[1:], simulator.data.qvel[1:], rtol=0.25, atol=0.02)
+
+
+def test_an_articulated_body_beyond_its_limits_or_off_its_joint_is_refused():
+    names = ("pusher", "drawer")
+    simulator = make(xml(CABINET), *names)
+    simulator.reset(0)
+    far, off = (simulator.poses() for _ in range(2))
+    far[1, 0] += 0.3
+    off[1, 2] += 0.1
+    with pytest.raises(SceneError, match="joint 'slide' is at 0.3000; expected -0.2000 to 0.1000"):
+        simulator.restore(scene_of(simulator, [far] * 3))
+    with pytest.raises(SceneError, match="body 'drawer' cannot be where the scene has it.*100.0 mm"):
+        simulator.restore(scene_of(simulator, [off] * 3))
+
+
+def test_a_loop_that_a_connection_closes_stays_closed():
+    """Of four bars only the crank is an entity: the others' joints follow from it."""
+    text = xml(FOUR_BAR, CONNECT)
+    simulator, other = (make(text, "pusher", "crank") for _ in range(2))
+    simulator.reset(0)
+    simulator.data.qvel[1:] = [1.0, -1.0, 1.0]
+    poses = run(simulator, np.zeros((6, 1)))
+    assert np.abs(simulator.data.qpos[1]) > 0.02  # it swings
+    other.restore(scene_of(simulator, poses[-3:][::-1]))
+    np.testing.assert_allclose(other.data.qpos[1:], simulator.data.qpos[1:], atol=2e-3)
+    tip = other.data.body("rod").xpos + other.data.body("rod").xmat.reshape(3, 3)[:, 0] * 0.2
+    rocker = other.data.body("rocker").xpos + other.data.body("rocker").xmat.reshape(3, 3)[:, 2] * 0.1
+    np.testing.assert_allclose(tip, rocker, atol=1e-6)
+    np.testing.assert_allclose(run(other, np.zeros((5, 1)))[-1], run(simulator, np.zeros((5, 1)))[-1], atol=5e-3)
+
+
+def test_a_mocap_body_goes_where_the_weld_to_its_link_is_satisfied():
+    simulator = MujocoSimulator.from_xml(
+        xml(HAND, WELD, ""),
+        {"hand": "hand"},
+        act=lambda model, data, action: _move_mocap(data, action),
+        action_size=2,
+    )
+    simulator.reset(0)
+    assert simulator.joints().shape == (2, 2)  # the hand's: what the mocap body drives; nothing drives the pusher
+    poses = run(simulator, np.tile([[0.2, 0.1]], (20, 1)))
+    assert poses[-1, 0, 0] > poses[0, 0, 0] + 0.05
+    simulator.restore(scene_of(simulator, poses[-3:][::-1], joints=simulator.joints() * [[1.0], [0.0]]))
+    np.testing.assert_allclose(simulator.poses(), poses[-1], atol=1e-6)
+    before = simulator.poses()
+    simulator.step(np.zeros(2))
+    np.testing.assert_allclose(simulator.poses(), before, atol=1e-3)  # it rests where it is
+
+
+def _move_mocap(data, action):
+    data.mocap_pos[0, [0, 2]] += 0.05 * action
+    return np.zeros(0)
+
+
+def test_the_public_frame_is_that_of_a_body_or_a_pose():
+    text = xml(
+        BOX.replace('pos="0 0 0.03"', 'pos="0 0 0.03" euler="0 0 1.57079632679"')
+        + '<body name="base" pos="1 0 0" euler="0 0 1.57079632679"/>'
+    )
+    plain, turned = make(text, "pusher", "box"), make(text, "pusher", "box", base="base")
+    np.testing.assert_allclose(turned.poses()[0, :3], [0.0, 1.3, 0.035], atol=1e-9)
+    np.testing.assert_allclose(turned.poses()[1, 3:], [1, 0, 0, 0], atol=1e-9)
+    scene = scene_of(turned, [turned.poses()] * 3)
+    plain_scene = scene_of(plain, [plain.poses()] * 3)
+    turned.restore(scene)
+    plain.restore(plain_scene)
+    np.testing.assert_allclose(turned.data.qpos, plain.data.qpos, atol=1e-12)
+
+
+def test_what_does_not_fit_is_named(pushing):
+    with pytest.raises(UnknownNameError, match="unknown body of the model 'bax'.*Did you mean 'box'"):
+        make(xml(BOX), "bax")
+    with pytest.raises(SceneError, match="body 'empty' has no geom that collides"):
+        make(xml('<body name="empty"/>'), "empty").meshes()
+    with pytest.raises(PwmGymError, match="actuator 'free' has no ctrlrange"):
+        make(xml(BOX, actuator='<actuator><motor name="free" joint="x"/></actuator>'), "box")
+    with pytest.raises(PwmGymError, match="takes actions of 1 components; expected 3"):
+        make(xml(BOX), "box", control=Control((Channel("translation", 0, 3),), period=0.04))
+    with pytest.raises(PwmGymError, match="MuJoCo cannot read the model"):
+        make("<mujoco><nonsense/></mujoco>", "box")
+    with pytest.raises(FileNotFoundError, match=r"no\.xml does not exist"):
+        XmlWorld("no.xml")
+    with pytest.raises(PwmGymError, match=r"the action has shape \(2,\); expected \(1,\)"):
+        pushing.step(np.zeros(2))
+
+
+def test_scenes_that_do_not_fit_are_refused(pushing):
+    pushing.reset(0)
+    scene = scene_of(pushing, [pushing.poses()] * 3)
+    with pytest.raises(SceneError, match=r"scene\.joints is None"):
+        pushing.restore(replace(scene, joints=None))
+    with pytest.raises(SceneError, match=r"scene\.joints has 3 joints; the simulator's robot has 1"):
+        pushing.restore(replace(scene, joints=np.zeros((2, 3))))
+    with pytest.raises(SceneError, match="the scene's entities are"):
+        pushing.restore(replace(scene, layout=Layout.build([("pusher", 4)])))
+
+
+def test_a_simulation_that_diverges_names_the_body(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # MuJoCo writes a log
+    simulator = make(xml(BOX), "pusher", "box", act=lambda model, data, action: _hurl(data))
+    with pytest.raises(PwmGymError, match="diverged: body 'pusher'"):
+        for _ in range(20):
+            simulator.step(np.ones(1))
+
+
+def _hurl(data):
+    data.qvel[0] = np.inf
+    return np.zeros(1)
+
+
+def test_an_environment_without_a_model_is_refused():
+    with pytest.raises(PwmGymError, match="has no 'model'"):
+        RoboticsWorld("CartPole-v1")
