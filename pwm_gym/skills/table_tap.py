@@ -72,19 +72,22 @@ class TableTap:
             and abs(offset[2]) < _LEVEL
             and self._aligned(offset, ahead)
         ):
-            return self._drive(np.r_[self.stroke * self._strength(distance, slide) * ahead, offset[2]])
+            return self._drive(np.r_[self.stroke * self._strength(distance, slide, puck) * ahead, offset[2]])
         low = abs(offset[2]) < _LEVEL and tool[2] > self.tapped_above
         if low and np.linalg.norm(tool[:2] - puck[:2]) > contact + _LEFT:
             step = self.stroke if distance > _SHARE * slide else _CREEP  # another tap is needed, or maybe
             return self._drive(offset * min(1.0, step / float(np.linalg.norm(offset))))
         return self._come(offset, tool)
 
-    @staticmethod
-    def _strength(distance: float, slide: float) -> float:
-        """Share of the strongest stroke for a way; one that is too long for a single tap is shortened first."""
-        if distance > _FULL * slide:
-            distance = max(distance - _SHARE * slide, _LEAST)
-        return float(np.sqrt(distance / slide))
+    def _strength(self, distance: float, slide: float, puck: np.ndarray) -> float:
+        """Share of the strongest stroke for a way; one that is too long for a single tap is shortened first.
+
+        A first tap does not send the puck out of reach, where strokes lose more than the way gets shorter.
+        """
+        room = self.reach - float(np.linalg.norm(puck[:2]))
+        if distance > _FULL * slide and room > _LEAST:
+            distance = min(max(distance - _SHARE * slide, _LEAST), room)
+        return min(float(np.sqrt(distance / slide)), 1.0)
 
     def _aligned(self, offset: np.ndarray, ahead: np.ndarray) -> bool:
         """Whether the tool is on the line of the stroke."""

@@ -15,7 +15,7 @@ def at(x, y, z, spread=0.0):
 
 
 def scene(tool, goal, velocity=0.0):
-    """Points and info: an object at the origin, the tool at a place, fingers 3 cm over it, the hand further up."""
+    """Points and info: an object at the origin, the tool's centre at a place, the fingers' and the hand's over it."""
     x, y, z = tool
     rise = 0.02
     points = {
