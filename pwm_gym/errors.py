@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import difflib
-import numbers
-from collections.abc import Hashable, Iterable, Mapping
+import operator
+from collections.abc import Iterable, Mapping
 from typing import Any, TypeVar
 
 __all__ = [
@@ -62,7 +62,7 @@ def look_up(kind: str, name: Any, known: Mapping[str, _Value]) -> _Value:
     Raises:
         UnknownNameError: as of :func:`unknown_name`.
     """
-    if not isinstance(name, Hashable) or name not in known:
+    if not isinstance(name, str) or name not in known:
         raise unknown_name(kind, name, known)
     return known[name]
 
@@ -73,9 +73,10 @@ def check_whole(name: str, value: Any, least: int) -> int:
     Raises:
         PwmGymError: it is none, or less.
     """
-    if isinstance(value, bool) or not isinstance(value, numbers.Integral) or value < least:
+    number = _whole(value)
+    if number is None or number < least:
         raise PwmGymError(f"{name}={value!r}; expected a whole number of at least {least}")
-    return int(value)
+    return number
 
 
 def check_seed(value: Any) -> int:
@@ -84,6 +85,17 @@ def check_seed(value: Any) -> int:
     Raises:
         PwmGymError: it is no whole number from 0 to 2**63 - 1.
     """
-    if isinstance(value, bool) or not isinstance(value, numbers.Integral) or not 0 <= value < 2**63:
+    number = _whole(value)
+    if number is None or not 0 <= number < 2**63:
         raise PwmGymError(f"seed={value!r}; expected a whole number from 0 to 2**63 - 1")
-    return int(value)
+    return number
+
+
+def _whole(value: Any) -> int | None:
+    """A whole number, NumPy's included, as Python's; None where it is something else."""
+    if isinstance(value, bool):
+        return None
+    try:
+        return operator.index(value)
+    except TypeError:
+        return None

@@ -80,7 +80,12 @@ def run_distractor_table(
     Returns:
         "influence", as of :func:`distractor_influence` under uniformly random actions; "planning", as of
         :func:`plan_among_distractors`, or None.
+
+    Raises:
+        PwmGymError: the task has no object.
     """
+    if not task.objects:
+        raise PwmGymError(f"{task.name} has no object for distractors to stand about")
     bank = checkpoint.bank(task.name)
     plain = [bank.scene(k % len(bank)) for k in range(episodes)]
     cluttered = [add_distractors(scene, task.objects[0], k) for k, scene in enumerate(plain)]

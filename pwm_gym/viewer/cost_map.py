@@ -16,6 +16,7 @@ from pwm_gym.scene import RigidState
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.collections import QuadMesh
 
 __all__ = ["CostMap", "cost_maps", "draw_cost_maps"]
 
@@ -117,7 +118,7 @@ def draw_cost_maps(path: Path, maps: list[CostMap], cost: Cost, entity: str) -> 
     figure.savefig(path, dpi=120)
 
 
-def _draw(axes: Axes, one: CostMap, low: float, high: float) -> object:
+def _draw(axes: Axes, one: CostMap, low: float, high: float) -> QuadMesh:
     first, second = one.axes.split("-")
     picture = axes.pcolormesh(
         one.across, one.upward, one.values, cmap="viridis", vmin=low, vmax=high, shading="nearest"

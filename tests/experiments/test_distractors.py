@@ -11,6 +11,7 @@ from pwm_gym.experiments.distractors import (
     add_distractors,
     distractor_influence,
     plan_among_distractors,
+    run_distractor_table,
 )
 from pwm_gym.planning import Agent, MPPIConfig
 from pwm_gym.scene import batch_state
@@ -68,6 +69,12 @@ class Drift:
         poses = state.poses().clone()
         poses[:, 3:, 0, 3] += 1e-3 * len(state.layout)
         return state.advance(poses)
+
+
+def test_a_task_without_objects_is_refused():
+    checkpoint = load_checkpoint(resolve("default", "PickCube"))
+    with pytest.raises(PwmGymError, match="FetchReach has no object for distractors to stand about"):
+        run_distractor_table(checkpoint, get_task("FetchReach"))
 
 
 def test_the_influence_of_distractors_is_measured(scenes):
