@@ -129,18 +129,6 @@ After that training its configuration got `hidden_gaps` of 1 and 7 cm, without a
 that is near the robot and not touched does not change how the arm moves. Before, a pod in a drawer stopped the hand
 that came down to it, where the simulator's hand goes on.
 
-`fetch` is one model of the four Fetch tasks on MuJoCo; of its arm nothing is known, how the hand answers to actions is
-fitted and learned. It was trained in one process, beside other work:
-
-```
-pwm-gym collect --task FetchPickAndPlace --episodes 700 --held-out 40 --practice 0.6
-pwm-gym collect --task FetchPush --episodes 600 --held-out 40 --practice 0.6
-pwm-gym collect --task FetchReach --episodes 150 --held-out 40 --practice 0.6
-pwm-gym collect --task FetchSlide --episodes 400 --held-out 40 --practice 0.6
-pwm-gym train --data data-sets/FetchPickAndPlace data-sets/FetchPush data-sets/FetchReach data-sets/FetchSlide \\
-    --out runs/fetch --threads 1 --phases 1 1200 256 5 500 128 15 350 96
-```
-
 The rollouts of the three long tasks, the tables of `paper-small` and of baselines on PickYCB, of planning on StackCube,
 and behaviour cloning were measured with data sets that were collected anew: the same seeds, and fewer training
 episodes.

@@ -63,9 +63,9 @@ FETCH = Gripper(
     hand_height=0.052,
     hand_half_width=0.04,
     hand_half_length=0.063,
-    tool_ratio=0.213,
+    tool_ratio=0.215,
     shut_apart=0.014,
     pad_end=0.021,
     pad_reach=0.0165,
 )
-"""The Fetch's hand, of the meshes and boxes that Gymnasium-Robotics ships; x is along the hand's z axis."""
+"""The Fetch's hand, of a box around it and of its fingers' boxes; x is along the hand's z axis."""

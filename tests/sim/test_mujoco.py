@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
 from scipy.spatial.transform import Rotation
 
 from pwm_gym.errors import PwmGymError, SceneError, UnknownNameError
@@ -311,3 +312,16 @@ def _hurl(data):
 def test_an_environment_without_a_model_is_refused():
     with pytest.raises(PwmGymError, match="has no 'model'"):
         RoboticsWorld("CartPole-v1")
+
+
+SURFACE_XML = """
+<mujoco><worldbody><body name="ball"><freejoint/><geom type="sphere" size="0.05"/></body></worldbody></mujoco>
+"""
+
+
+def test_an_entitys_surface_may_be_given():
+    box = trimesh.creation.box((0.1, 0.2, 0.3))
+    simulator = MujocoSimulator.from_xml(SURFACE_XML, {"ball": "ball"}, surfaces={"ball": box})
+    assert simulator.meshes()["ball"] is box
+    with pytest.raises(UnknownNameError, match="unknown entity 'bal'"):
+        MujocoSimulator.from_xml(SURFACE_XML, {"ball": "ball"}, surfaces={"bal": box})

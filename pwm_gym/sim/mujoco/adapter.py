@@ -41,9 +41,10 @@ class MujocoSimulator:
         robot: root body of the robot, where it is not what actuators and mocap bodies drive.
         control: what the actions are taken to mean; its size and period are checked against the world's.
         visual: entities whose surface is that of geoms which collide with nothing.
+        surfaces: entity name -> surface that is shown in the place of its geoms', in the body's frame (metres).
 
     Raises:
-        UnknownNameError: a body that the model lacks.
+        UnknownNameError: a body that the model lacks, or a surface of no entity.
         PwmGymError: ``control`` is of another size or period, or the model has something that is not supported.
     """
 
@@ -56,11 +57,16 @@ class MujocoSimulator:
         robot: str | None = None,
         control: Control | None = None,
         visual: Sequence[str] = (),
+        surfaces: Mapping[str, trimesh.Trimesh] | None = None,
     ) -> None:
         self.world, self.model, self.data = world, world.model, world.data
         self.action_size = world.action_size
         self._bodies = dict(bodies)
         self._judge, self._visual = judge, tuple(visual)
+        self._surfaces = dict(surfaces or {})
+        for name in self._surfaces:
+            if name not in self._bodies:
+                raise unknown_name("entity", name, self._bodies)
         _check_supported(self.model)
         if control is not None:
             self._check_control(control)
@@ -138,7 +144,7 @@ class MujocoSimulator:
         """Surfaces of the entities, in each entity's own frame (metres)."""
         entities = {int(k) for k in self._ids}
         return {
-            name: body_mesh(self.model, int(k), entities, name in self._visual)
+            name: self._surfaces.get(name) or body_mesh(self.model, int(k), entities, name in self._visual)
             for name, k in zip(self._bodies, self._ids, strict=True)
         }
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import trimesh
 
 from pwm_gym.robots.fetch import FETCH, TABLE_HEIGHT, opening
 from pwm_gym.sim.mujoco.adapter import MujocoSimulator
@@ -20,6 +21,9 @@ GOAL_RADIUS = 0.05
 OBJECT = "object"
 """Entity that the tasks are about."""
 
+_HAND = (-0.154, -0.063, -0.04), (-0.032, 0.063, 0.04)
+"""Corners, in its own frame, of a box around the hand, which stands for its mesh: that is under a licence (CC BY-NC-SA)
+by which no points of it may be shipped with a checkpoint's scenes."""
 _SHUT = 0.01  # metres between the pads of a gripper that holds nothing
 
 
@@ -66,7 +70,8 @@ def fetch_simulator(env_id: str, reward: Callable[[Instant], float], objects: Se
         now = _instant(simulator, bool(objects))
         return SimOutcome(1.0 if now.success else reward(now), now.success, now.held)
 
-    return MujocoSimulator(world, bodies, judge, base=_base(world), control=FETCH.control)
+    surfaces = {"hand": trimesh.creation.box(bounds=_HAND)}
+    return MujocoSimulator(world, bodies, judge, base=_base(world), control=FETCH.control, surfaces=surfaces)
 
 
 def _base(world: Any) -> np.ndarray:
