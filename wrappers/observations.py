@@ -63,7 +63,7 @@ class EntityPoses(gym.ObservationWrapper[np.ndarray, np.ndarray, dict[str, np.nd
         return pose_features(base.observed_state, base.goal)[0].cpu().numpy().clip(-2.0, 2.0)
 
 
-def subsampled(space: gym.spaces.Space[Any], layout: Layout, points: int) -> tuple[gym.spaces.Dict, np.ndarray]:
+def subsampled(space: gym.spaces.Space[Any], layout: Layout, points: int) -> tuple[gym.spaces.Space[Any], np.ndarray]:
     """The space of observations with fewer points, and which of them stay (points,): the first of each entity's.
 
     Raises:
