@@ -12,7 +12,7 @@ from gymnasium import spaces
 from torch import Tensor
 
 from pwm_gym.costs import Cost, StagedCost, cost_info, get_cost, get_grasp, get_success
-from pwm_gym.errors import PwmGymError, SceneError, unknown_name
+from pwm_gym.errors import PwmGymError, SceneError, check_seed, unknown_name
 from pwm_gym.robots import Control
 from pwm_gym.scene import Layout, PointState, RigidState, Scene, State
 from pwm_gym.tasks import Task
@@ -30,6 +30,7 @@ __all__ = [
     "observation_space",
     "observe",
     "outside",
+    "seeds_of",
 ]
 
 BOUND = 2.0
@@ -132,6 +133,20 @@ def check_options(options: Any, known: Sequence[str]) -> dict[str, Any]:
         if key not in known:
             raise unknown_name("reset option", key, known)
     return dict(options or {})
+
+
+def seeds_of(seed: Any, count: int) -> list[int | None]:
+    """Seeds of ``count`` environments: one each, or ``seed`` + i for the environment i; None leaves one unseeded.
+
+    Raises:
+        PwmGymError: another number of seeds, or something that is no seed.
+    """
+    if not isinstance(seed, Sequence | np.ndarray) or isinstance(seed, str):
+        first = check_seed(seed)
+        return [first + i for i in range(count)]
+    if len(seed) != count:
+        raise PwmGymError(f"{len(seed)} seeds for {count} environments")
+    return [None if value is None else check_seed(value) for value in seed]
 
 
 def check_render_mode(mode: str | None, known: Sequence[str]) -> str | None:

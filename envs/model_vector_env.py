@@ -28,9 +28,10 @@ from pwm_gym.envs.common import (
     observation_space,
     observe,
     outside,
+    seeds_of,
 )
 from pwm_gym.envs.rendering import SceneRenderer
-from pwm_gym.errors import PwmGymError, SceneError, check_seed, check_whole
+from pwm_gym.errors import PwmGymError, SceneError, check_whole
 from pwm_gym.scene import Entity, RigidState, Scene, State, batch_state
 from pwm_gym.scene.se3 import pose7_from_matrix
 from pwm_gym.tasks import get_task
@@ -193,16 +194,10 @@ class ModelVectorEnv(EzPickle, gym.vector.VectorEnv[dict[str, np.ndarray], np.nd
         """Seed the generators of the environments that ``mask`` restarts."""
         if seed is None:
             return
-        seeds: list[Any]
-        if isinstance(seed, Sequence | np.ndarray) and not isinstance(seed, str):
-            seeds = list(seed)
-        else:
-            seeds = [check_seed(seed) + i for i in range(self.num_envs)]
-        if len(seeds) != self.num_envs:
-            raise PwmGymError(f"{len(seeds)} seeds for {self.num_envs} environments")
+        seeds = seeds_of(seed, self.num_envs)
         for i in np.flatnonzero(mask):
             if (value := seeds[i]) is not None:
-                self._generators[i].manual_seed(check_seed(value))
+                self._generators[i].manual_seed(value)
 
     def _reset_mask(self, mask: Any) -> np.ndarray:
         if mask is None:
@@ -242,20 +237,24 @@ class ModelVectorEnv(EzPickle, gym.vector.VectorEnv[dict[str, np.ndarray], np.nd
 
     def _restart(self, mask: np.ndarray, scenes: list[Scene]) -> None:
         """Put ``scenes`` where ``mask`` is set."""
-        actions = np.stack([last_action(s, self.task.control) for s in scenes])
-        self._check_layouts(scenes, mask)
-        fresh = self.model.prepare(batch_state(scenes, self.device))
+        fresh, actions = self._prepared(scenes, mask)
         goals = torch.as_tensor(np.stack([s.goal for s in scenes]), dtype=torch.float32, device=self.device)
         index = torch.as_tensor(np.flatnonzero(mask), device=self.device)
         self._state = fresh if self._state is None or mask.all() else _with_rows(self._state, index, fresh)
         for i, scene in zip(np.flatnonzero(mask), scenes, strict=True):
             self._assets[i] = scene.assets
         self._goal = self._goal.index_copy(0, index, goals)
-        self._action = self._action.index_copy(0, index, torch.as_tensor(actions, device=self.device))
+        self._action = self._action.index_copy(0, index, actions)
         if self._stage is not None:
             self._stage = self._stage.index_fill(0, index, 0)
         self._elapsed[mask] = 0
         self._done[mask] = False
+
+    def _prepared(self, scenes: list[Scene], mask: np.ndarray) -> tuple[State, Tensor]:
+        """State (n,) of the scenes for where ``mask`` is set, and the actions (n, A) that led to them."""
+        actions = np.stack([last_action(s, self.task.control) for s in scenes])
+        self._check_layouts(scenes, mask)
+        return self.model.prepare(batch_state(scenes, self.device)), torch.as_tensor(actions, device=self.device)
 
     def _check_layouts(self, scenes: list[Scene], mask: np.ndarray) -> None:
         """One batch has one layout: the new scenes', and that of the environments which go on."""
@@ -293,11 +292,7 @@ class ModelVectorEnv(EzPickle, gym.vector.VectorEnv[dict[str, np.ndarray], np.nd
     def synchronise(self, scene: Scene | Sequence[Scene]) -> None:
         """Go on from other scenes, one for all or one each; goals, stages and the time that has passed stay."""
         every = np.ones(self.num_envs, bool)
-        scenes = self._scenes(scene, every)
-        self._check_layouts(scenes, every)
-        self._state = self.model.prepare(batch_state(scenes, self.device))
-        actions = np.stack([last_action(s, self.task.control) for s in scenes])
-        self._action = torch.as_tensor(actions, device=self.device)
+        self._state, self._action = self._prepared(self._scenes(scene, every), every)
 
     def resume(self) -> None:
         """Go on after an episode's end, as Gymnasium's single environments may."""

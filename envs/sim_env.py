@@ -148,6 +148,7 @@ class SimEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
         self._action = np.array(self.task.control.rest(), np.float32)
         self._stage: Tensor | None = None  # (1,), where the task is a sequence of stages
         self._renderer: SceneRenderer | None = None
+        self._closed = False
 
     def set_cost(self, cost: str | Callable[..., Tensor] | None) -> None:
         """Reward by another cost from now on, a registered or a callable one; stages begin anew."""
@@ -192,6 +193,7 @@ class SimEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         """Start an episode; ``options["scene"]`` gives its scene, which needs joint positions."""
+        self._check_open()
         super().reset(seed=None if seed is None else check_seed(seed))
         scene = check_options(options, ["scene"]).get("scene")
         bodies = self._start(seed) if scene is None else self._start_from(scene)
@@ -237,6 +239,7 @@ class SimEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
 
     def step(self, action: np.ndarray) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
         """One control step under an action (A,) in [-1, 1]."""
+        self._check_open()
         checked = check_actions(action, self.action_space.shape or ())
         self._action = checked.numpy().copy()
         outcome = self.simulator.step(self._action)
@@ -288,4 +291,9 @@ class SimEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
 
     def close(self) -> None:
         """Free the simulator; calling it twice is harmless."""
+        self._closed = True
         self.simulator.close()
+
+    def _check_open(self) -> None:
+        if self._closed:
+            raise PwmGymError(f"the twin of {self.task.name} is closed; make another one")

@@ -67,15 +67,16 @@ def look_up(kind: str, name: Any, known: Mapping[str, _Value]) -> _Value:
     return known[name]
 
 
-def check_whole(name: str, value: Any, least: int) -> int:
-    """``value``, a whole number of at least ``least``.
+def check_whole(name: str, value: Any, least: int, most: int | None = None) -> int:
+    """``value``, a whole number from ``least`` to ``most``, or of any size where there is no ``most``.
 
     Raises:
-        PwmGymError: it is none, or less.
+        PwmGymError: it is none, less, or more.
     """
     number = _whole(value)
-    if number is None or number < least:
-        raise PwmGymError(f"{name}={value!r}; expected a whole number of at least {least}")
+    if number is None or number < least or (most is not None and number > most):
+        wanted = f"of at least {least}" if most is None else f"from {least} to {most}"
+        raise PwmGymError(f"{name}={value!r}; expected a whole number {wanted}")
     return number
 
 

@@ -68,6 +68,6 @@ def test_imports_run_downwards(name):
     assert not upward, "\n".join(upward)
 
 
-def test_only_commands_and_examples_import_the_whole_package():
+def test_few_parts_import_the_whole_package():
     whole = {part(module) for module, tree in MODULES.items() if "pwm_gym" in imported(tree)}
     assert whole <= {"commands", "experiments", "collection"}, whole

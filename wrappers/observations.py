@@ -11,10 +11,10 @@ from gymnasium.utils import RecordConstructorArgs
 from pwm_gym.errors import PwmGymError
 from pwm_gym.scene import POSE_FEATURES, Layout, pose_features
 
-__all__ = ["CLOUDS", "EntityPoses", "FlattenPoints", "Subsample", "subsampled"]
+__all__ = ["EntityPoses", "FlattenPoints", "Subsample", "at_points", "subsampled"]
 
-CLOUDS = ("points", "velocity", "previous_velocity")
-_KEYS = (*CLOUDS, "goal")
+_CLOUDS = ("points", "velocity", "previous_velocity")
+_KEYS = (*_CLOUDS, "goal")
 
 
 class FlattenPoints(gym.ObservationWrapper[np.ndarray, np.ndarray, dict[str, np.ndarray]], RecordConstructorArgs):
@@ -69,15 +69,19 @@ def subsampled(space: gym.spaces.Space[Any], layout: Layout, points: int) -> tup
     Raises:
         PwmGymError: the space has no clouds of points, or not so many.
     """
-    if not isinstance(space, gym.spaces.Dict) or not all(key in space.spaces for key in CLOUDS):
-        raise PwmGymError(f"Subsample needs a Dict with {', '.join(CLOUDS)}; got {type(space).__name__}")
-    few = layout.resize(points)
-    kept = np.concatenate([np.arange(f.start, f.start + e.points) for f, e in zip(layout, few, strict=True)])
+    if not isinstance(space, gym.spaces.Dict) or not all(key in space.spaces for key in _CLOUDS):
+        raise PwmGymError(f"Subsample needs a Dict with {', '.join(_CLOUDS)}; got {type(space).__name__}")
+    kept = layout.kept(layout.resize(points))
     spaces = dict(space.spaces)
-    for key in CLOUDS:
+    for key in _CLOUDS:
         box: Any = space.spaces[key]
         spaces[key] = gym.spaces.Box(box.low[..., kept, :], box.high[..., kept, :], dtype=np.float32)
     return gym.spaces.Dict(spaces), kept
+
+
+def at_points(observation: dict[str, Any], kept: np.ndarray) -> dict[str, Any]:
+    """An observation (...) with the points at places (M,) alone."""
+    return {key: value[..., kept, :] if key in _CLOUDS else value for key, value in observation.items()}
 
 
 class Subsample(
@@ -107,4 +111,4 @@ class Subsample(
 
     def observation(self, observation: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         """The observation with the points that stay."""
-        return {k: v[..., self._kept, :] if k in CLOUDS else v for k, v in observation.items()}
+        return at_points(observation, self._kept)

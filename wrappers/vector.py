@@ -13,7 +13,7 @@ from torch import Tensor
 from pwm_gym.envs.model_vector_env import ModelVectorEnv
 from pwm_gym.errors import PwmGymError
 from pwm_gym.scene import Layout
-from pwm_gym.wrappers.observations import CLOUDS, subsampled
+from pwm_gym.wrappers.observations import at_points, subsampled
 from pwm_gym.wrappers.uncertainty import check_penalty, total_error
 
 __all__ = ["CostFunction", "Subsample", "UncertaintyPenalty"]
@@ -58,17 +58,14 @@ class Subsample(gym.vector.VectorWrapper):
     def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """First observations (num_envs, ...)."""
         observation, info = self.env.reset(seed=seed, options=options)
-        return self._few(observation), info
+        return at_points(observation, self._kept), info
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """One step of every environment."""
         observation, reward, terminated, truncated, info = self.env.step(actions)
         if "final_obs" in info:
-            info = {**info, "final_obs": self._few(info["final_obs"])}
-        return self._few(observation), reward, terminated, truncated, info
-
-    def _few(self, observation: dict[str, Any]) -> dict[str, Any]:
-        return {k: v[..., self._kept, :] if k in CLOUDS else v for k, v in observation.items()}
+            info = {**info, "final_obs": at_points(info["final_obs"], self._kept)}
+        return at_points(observation, self._kept), reward, terminated, truncated, info
 
 
 class UncertaintyPenalty(gym.vector.VectorWrapper):

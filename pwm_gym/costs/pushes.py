@@ -5,15 +5,32 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from pwm_gym.costs import contacts, terms
+from pwm_gym.costs import contacts, shaped, terms
 from pwm_gym.costs.contacts import Points
 from pwm_gym.costs.terms import Info, Term
 from pwm_gym.robots.gripper import Gripper
 
-__all__ = ["behind", "goal_distance", "pushing_terms", "wrong_side"]
+__all__ = ["behind", "goal_distance", "pushed_terms", "pushing_terms", "wrong_side"]
 
 _NEAR = 0.02  # metres from the goal within which the way there counts most
 _LEVEL = 0.03  # metres over an object's centre above which the tool is clear of it
+
+
+def pushed_terms(name: str, gripper: Gripper, success: Term) -> dict[str, tuple[float, Term]]:
+    """Weighted terms of minus a dense reward: the tool near the object, and thrice that near its goal; -1 at success.
+
+    Args:
+        name: the object.
+        gripper: that pushes.
+        success: the success rule.
+    """
+    reach = terms.reach(name, gripper)
+    place = terms.nearness(terms.centre(name), terms.goal_position)
+
+    def pushing(points: Points, info: Info) -> Tensor:
+        return reach(points, info) + 3.0 * place(points, info)
+
+    return shaped.normalised(4.0, {"pushing": (None, 0.0, pushing)}, success)
 
 
 def goal_distance(name: str, slowing: float | None = None) -> Term:

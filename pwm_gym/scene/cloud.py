@@ -45,7 +45,7 @@ def sample_clouds(meshes: Mapping[str, trimesh.Trimesh], layout: Layout, seed: i
 
 def resample_clouds(clouds: np.ndarray, full: Layout, layout: Layout) -> np.ndarray:
     """Coarser canonical points of ``layout`` from those of ``full``: each entity's first points."""
-    return np.concatenate([clouds[f.start : f.start + e.points] for f, e in zip(full, layout, strict=True)])
+    return clouds[full.kept(layout)]
 
 
 def reordered(points: np.ndarray, start: int, leading: int) -> np.ndarray:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from pwm_gym.errors import PwmGymError, SceneError, unknown_name
+from pwm_gym.errors import SceneError, check_whole, unknown_name
 from pwm_gym.scene.joint import FREE, IDENTITY, Joint, Pose7
 
 __all__ = ["Entity", "Layout", "Support"]
@@ -164,13 +164,15 @@ class Layout:
     def resize(self, points: int) -> Layout:
         """The same entities with ``points`` points in all, divided in the same proportions."""
         count = len(self.entities)
-        if isinstance(points, bool) or not isinstance(points, int | np.integer):
-            raise PwmGymError(f"points={points!r}; expected a whole number from {count} to {self.points}")
-        if not count <= points <= self.points:
-            raise PwmGymError(f"points={points}; expected {count} to {self.points}")
+        points = check_whole("points", points, count, self.points)
         share = (points - count) / max(1, self.points - count)  # of what is left when each has one point
         bounds = np.floor(share * np.cumsum([e.points - 1 for e in self.entities]) + 0.5)
         return self.with_counts(int(1 + extra) for extra in np.diff([0, *bounds]))
+
+    def kept(self, coarser: Layout) -> np.ndarray:
+        """Places (M,) of the points that a ``coarser`` layout of the same entities keeps: the first of each entity."""
+        pairs = zip(self.entities, coarser.entities, strict=True)
+        return np.concatenate([np.arange(e.start, e.start + few.points) for e, few in pairs])
 
     def truncate(self, count: int) -> Layout:
         """The same entities with at most ``count`` points each."""

@@ -152,8 +152,7 @@ class RigidState:
 
     def coarsen(self, layout: Layout) -> RigidState:
         """The same poses with the (fewer) points of ``layout``: each entity's first."""
-        kept = [f.start + k for f, e in zip(self.layout, layout, strict=True) for k in range(e.points)]
-        return replace(self, layout=layout, clouds=self.clouds[..., kept, :])
+        return replace(self, layout=layout, clouds=self.clouds[..., self.layout.kept(layout), :])
 
     def map(self, function: Any) -> RigidState:
         """State with ``function`` applied to each batched tensor."""

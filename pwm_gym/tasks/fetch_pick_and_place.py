@@ -11,18 +11,18 @@ from pwm_gym.costs import register_grasp, register_success, register_terms, shap
 from pwm_gym.robots.fetch import FETCH, layout
 from pwm_gym.robots.gripper import FETCH as GRIPPER
 from pwm_gym.sim import Simulator
+from pwm_gym.sim.mujoco.fetch import GOAL_RADIUS, Instant, fetch_simulator
 from pwm_gym.skills import TopGrasp, drive
 from pwm_gym.tasks.registry import Task, register_task
 
 __all__ = ["FETCH_PICK_AND_PLACE", "FetchPickAndPlaceExpert"]
 
 _WIDTH = 0.05  # metres
-_GOAL_RADIUS = 0.05  # metres: the simulator's threshold for the block's distance from the goal
 _LAYOUT = layout({"object": 300})
 
 _held = terms.pinch("object", GRIPPER)
 register_grasp("fetch_pick_and_place")(_held)
-_success = register_success("fetch_pick_and_place")(terms.near("object", terms.goal_position, _GOAL_RADIUS))
+_success = register_success("fetch_pick_and_place")(terms.near("object", terms.goal_position, GOAL_RADIUS))
 
 _reach = terms.reach("object", GRIPPER)
 _place = terms.nearness(terms.centre("object"), terms.goal_position)
@@ -63,8 +63,6 @@ class FetchPickAndPlaceExpert:
 
 
 def _simulator() -> Simulator:
-    from pwm_gym.sim.mujoco.fetch import Instant, fetch_simulator
-
     def reward(now: Instant) -> float:
         return (now.reach + now.held * (1.0 + now.place)) / 4.0
 

@@ -7,30 +7,25 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pwm_gym.costs import register_grasp, register_success, register_terms, shaped, terms
-from pwm_gym.costs.pushes import pushing_terms
+from pwm_gym.costs import register_grasp, register_success, register_terms, terms
+from pwm_gym.costs.pushes import pushed_terms, pushing_terms
 from pwm_gym.robots.fetch import FETCH, layout
 from pwm_gym.robots.gripper import FETCH as GRIPPER
 from pwm_gym.sim import Simulator
+from pwm_gym.sim.mujoco.fetch import GOAL_RADIUS, fetch_simulator
 from pwm_gym.skills import TablePush
 from pwm_gym.tasks.registry import Task, register_task
 
 __all__ = ["FETCH_PUSH", "FetchPushExpert"]
 
-_GOAL_RADIUS = 0.05  # metres: the simulator's threshold for the block's distance from the goal
 _CONTACT = 0.04  # metres from the tool to the block's centre where shut fingers push it
 _AT_GOAL = 0.02  # metres from the goal where the expert leaves the block alone
 _LAYOUT = layout({"object": 300})
 
 register_grasp("fetch_push")(terms.pinch("object", GRIPPER))
-_success = register_success("fetch_push")(terms.near("object", terms.goal_position, _GOAL_RADIUS))
+_success = register_success("fetch_push")(terms.near("object", terms.goal_position, GOAL_RADIUS))
 
-_reach = terms.reach("object", GRIPPER)
-_place = terms.nearness(terms.centre("object"), terms.goal_position)
-register_terms(  # minus the dense reward: the tool near the block, the block near its goal; -1 at success
-    "fetch_push",
-    shaped.normalised(4.0, {"pushing": (None, 0.0, lambda p, i: _reach(p, i) + 3.0 * _place(p, i))}, _success),
-)
+register_terms("fetch_push", pushed_terms("object", GRIPPER, _success))  # minus the dense reward
 register_terms("fetch_push_plan", pushing_terms("object", GRIPPER, _CONTACT))
 
 
@@ -54,9 +49,7 @@ class FetchPushExpert:
 
 
 def _simulator() -> Simulator:
-    from pwm_gym.sim.mujoco.fetch import fetch_simulator
-
-    return fetch_simulator("FetchPush-v4", lambda now: (now.reach + 3.0 * now.place) / 4.0, objects=["object"])
+    return fetch_simulator("FetchPush-v4", lambda now: now.pushed, objects=["object"])
 
 
 FETCH_PUSH = register_task(

@@ -13,12 +13,12 @@ from pwm_gym.costs import Points, register_grasp, register_success, register_ter
 from pwm_gym.robots.fetch import FETCH, layout
 from pwm_gym.robots.gripper import FETCH as GRIPPER
 from pwm_gym.sim import Simulator
+from pwm_gym.sim.mujoco.fetch import GOAL_RADIUS, fetch_simulator
 from pwm_gym.skills import drive
 from pwm_gym.tasks.registry import Task, register_task
 
 __all__ = ["FETCH_REACH", "FetchReachExpert"]
 
-_GOAL_RADIUS = 0.05  # metres: the simulator's threshold for the tool's distance from the goal
 _LAYOUT = layout({})
 _tool = terms.tool_of(GRIPPER)
 _place = terms.nearness(_tool, terms.goal_position)
@@ -38,15 +38,12 @@ def _nothing_held(points: Points, info: terms.Info) -> Tensor:
 @register_success("fetch_reach")
 def _success(points: Points, info: terms.Info) -> Tensor:
     """Tool within 5 cm of the goal."""
-    return _distance(points, info) < _GOAL_RADIUS
+    return _distance(points, info) < GOAL_RADIUS
 
 
-register_terms(  # minus the dense reward: nearness of the tool to the goal, and 1 at success
+register_terms(  # minus the dense reward: nearness of the tool to the goal; -1 at success
     "fetch_reach",
-    {
-        "placing": (-1.0, _place),
-        "success": (-1.0, shaped.success_bonus(_success, whole=1.0, parts=[_place])),
-    },
+    shaped.normalised(1.0, {"placing": (None, 0.0, _place)}, _success),
 )
 register_terms(
     "fetch_reach_plan",
@@ -76,8 +73,6 @@ class FetchReachExpert:
 
 
 def _simulator() -> Simulator:
-    from pwm_gym.sim.mujoco.fetch import fetch_simulator
-
     return fetch_simulator("FetchReach-v4", lambda now: now.place)
 
 

@@ -7,17 +7,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pwm_gym.costs import register_grasp, register_success, register_terms, shaped, terms
-from pwm_gym.costs.pushes import pushing_terms
+from pwm_gym.costs import register_grasp, register_success, register_terms, terms
+from pwm_gym.costs.pushes import pushed_terms, pushing_terms
 from pwm_gym.robots.fetch import FETCH, WIDE_TABLE, layout
 from pwm_gym.robots.gripper import FETCH as GRIPPER
 from pwm_gym.sim import Simulator
+from pwm_gym.sim.mujoco.fetch import GOAL_RADIUS, fetch_simulator
 from pwm_gym.skills import TableTap
 from pwm_gym.tasks.registry import Task, register_task
 
 __all__ = ["FETCH_SLIDE", "FetchSlideExpert"]
 
-_GOAL_RADIUS = 0.05  # metres: the simulator's threshold for the puck's distance from the goal
 _CONTACT = 0.04  # metres from the tool to the puck's centre where shut fingers touch it
 _SLOWING = 0.1 * 9.81 * FETCH.control.period**2  # metres a step in a step: friction of 0.1
 _RADIUS = 0.025  # metres: the puck's
@@ -30,14 +30,9 @@ _AT_GOAL = 0.04  # metres from the goal where the expert leaves the puck alone
 _LAYOUT = layout({"object": 300}, WIDE_TABLE)
 
 register_grasp("fetch_slide")(terms.pinch("object", GRIPPER))
-_success = register_success("fetch_slide")(terms.near("object", terms.goal_position, _GOAL_RADIUS))
+_success = register_success("fetch_slide")(terms.near("object", terms.goal_position, GOAL_RADIUS))
 
-_reach = terms.reach("object", GRIPPER)
-_place = terms.nearness(terms.centre("object"), terms.goal_position)
-register_terms(  # minus the dense reward: the tool near the puck, the puck near its goal; -1 at success
-    "fetch_slide",
-    shaped.normalised(4.0, {"pushing": (None, 0.0, lambda p, i: _reach(p, i) + 3.0 * _place(p, i))}, _success),
-)
+register_terms("fetch_slide", pushed_terms("object", GRIPPER, _success))  # minus the dense reward
 register_terms("fetch_slide_plan", pushing_terms("object", GRIPPER, _CONTACT, _SLOWING))
 
 
@@ -63,9 +58,7 @@ class FetchSlideExpert:
 
 
 def _simulator() -> Simulator:
-    from pwm_gym.sim.mujoco.fetch import fetch_simulator
-
-    return fetch_simulator("FetchSlide-v4", lambda now: (now.reach + 3.0 * now.place) / 4.0, objects=["object"])
+    return fetch_simulator("FetchSlide-v4", lambda now: now.pushed, objects=["object"])
 
 
 FETCH_SLIDE = register_task(

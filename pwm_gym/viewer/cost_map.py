@@ -12,6 +12,7 @@ from torch import Tensor
 
 from pwm_gym.costs import Cost, StagedCost, cost_info
 from pwm_gym.costs.registry import Function
+from pwm_gym.planning.objective import MOST_POINTS
 from pwm_gym.scene import RigidState
 
 if TYPE_CHECKING:
@@ -23,7 +24,6 @@ __all__ = ["CostMap", "cost_maps", "draw_cost_maps"]
 _PLANES = {"x-y": (0, 1), "x-z": (0, 2)}
 _CELLS = 41  # of a side of a map
 _CHUNK = 256  # scenes that are judged at once
-_POINTS = 2048  # of a scene, at most
 
 
 @dataclass(frozen=True)
@@ -59,8 +59,8 @@ def cost_maps(
         UnknownNameError: the scene has no such entity.
     """
     place = state.layout.index(entity)
-    if state.layout.points > _POINTS:
-        state = state.coarsen(state.layout.resize(_POINTS))
+    if state.layout.points > MOST_POINTS:
+        state = state.coarsen(state.layout.resize(MOST_POINTS))
     moved = [i for i in range(len(state.layout)) if i == place or place in state.layout.ancestors(i)]
     steps = torch.linspace(-reach, reach, _CELLS)
     centre = state.frames[0, 0, place, :3, 3]

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 
 from pwm_gym.scene import Scene
+from pwm_gym.scene.poses import compose
 from pwm_gym.sim.cabinet import PLACE
-from pwm_gym.sim.maniskill.poses import compose
 from pwm_gym.sim.mugs import get_mug
 from pwm_gym.tasks import get_task
 

@@ -9,8 +9,10 @@ import torch
 from pwm_gym.costs import STAGES_LEFT, Stage, StagedCost, cost_info, get_grasp, terms
 from pwm_gym.envs import ModelVectorEnv
 from pwm_gym.evaluation import planning_table
-from pwm_gym.planning import Agent, Run, execute
+from pwm_gym.planning import Agent, MPPIConfig, Run, execute
 from pwm_gym.scene import batch_state
+
+FEW = MPPIConfig(samples=50, elites=16)
 
 
 def sideways(points, info):
@@ -44,7 +46,7 @@ def model_env():
 def test_plans_cross_from_one_stage_into_the_next(model_env):
     model_env.reset(seed=3)
     cost = there_and_back(tool_of(model_env.scene()))
-    agent = Agent(model_env.model, cost=cost)
+    agent = Agent(model_env.model, config=FEW, cost=cost)
     agent.reset(0)
     told, left = [], []
     for _ in range(25):
@@ -79,7 +81,7 @@ def test_a_plans_costs_tell_stages_that_its_own_steps_reach(model_env):
 def test_a_runs_terms_follow_the_stages_of_its_episode(model_env, tmp_path):
     model_env.reset(seed=3)
     cost = there_and_back(tool_of(model_env.scene()), way=0.02)
-    run = execute(model_env, Agent(model_env.model, cost=cost), seed=3, max_steps=20, chunk=5)
+    run = execute(model_env, Agent(model_env.model, config=FEW, cost=cost), seed=3, max_steps=20, chunk=5)
     left = run.terms[STAGES_LEFT]
     assert left[0] == 40.0 and set(np.unique(left)) <= {0.0, 20.0, 40.0} and (np.diff(left) <= 0).all()
     assert left[-1] < 40.0

@@ -172,7 +172,7 @@ def test_resize_leaves_every_entity_a_point():
 
 @pytest.mark.parametrize("points", [-1, 0, 2, 101])
 def test_resize_refuses_what_cannot_be(points):
-    with pytest.raises(PwmGymError, match=f"points={points}; expected 3 to 100"):
+    with pytest.raises(PwmGymError, match=f"points={points}; expected a whole number from 3 to 100"):
         LAYOUT.resize(points)
 
 

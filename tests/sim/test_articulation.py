@@ -11,10 +11,10 @@ from scipy.spatial.transform import Rotation
 from pwm_gym.errors import SceneError
 from pwm_gym.robots.joints import JointTree
 from pwm_gym.scene import Scene, sample_clouds
+from pwm_gym.scene.poses import compose
 from pwm_gym.scene.se3 import matrix_from_pose7
 from pwm_gym.sim.cabinet import CABINET, DRAWER, STROKE
 from pwm_gym.sim.coffee_machine import LID, LID_JOINT, MACHINE, OPEN_ANGLE, POD
-from pwm_gym.sim.maniskill.poses import compose
 from pwm_gym.sim.mugs import MUGS, get_mug
 from pwm_gym.sim.shapes import Box
 from pwm_gym.tasks import get_task

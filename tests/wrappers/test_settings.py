@@ -173,7 +173,7 @@ def test_fewer_points_are_the_first_of_each_entitys(env, random_actions):
         expected = full["points"][whole.start : whole.start + part.points]
         np.testing.assert_array_equal(observation["points"][part.slice], expected)
     assert len(env.step(random_actions(0, 7))[0]["points"]) == 1200  # the world keeps its own
-    with pytest.raises(PwmGymError, match="points=5000; expected 4 to 1200"):
+    with pytest.raises(PwmGymError, match="points=5000; expected a whole number from 4 to 1200"):
         Subsample(env, 5000)
 
 

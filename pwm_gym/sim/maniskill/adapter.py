@@ -11,10 +11,11 @@ import trimesh
 from pwm_gym.errors import PwmGymError, SceneError, unknown_name
 from pwm_gym.robots.control import Control
 from pwm_gym.scene import Scene
+from pwm_gym.scene.poses import compose, relative, rotation
 from pwm_gym.sim.maniskill.articulation import articulated_links, restore_articulations
 from pwm_gym.sim.maniskill.headless import allow_headless
 from pwm_gym.sim.maniskill.meshes import collision_mesh
-from pwm_gym.sim.maniskill.poses import compose, pose7, relative, rotation
+from pwm_gym.sim.maniskill.poses import pose7
 from pwm_gym.sim.maniskill.props import SceneProps
 from pwm_gym.sim.props import Prop, get_prop
 from pwm_gym.sim.protocol import SimOutcome
@@ -143,7 +144,6 @@ class ManiSkillSimulator:
 
     def reset(self, seed: int) -> None:
         """Start the episode of ``seed``, which chooses the assets, too."""
-        self._check_open()
         self._rebuild(int(seed))
 
     def restore(self, scene: Scene, rebuild: bool = True) -> None:
@@ -165,7 +165,6 @@ class ManiSkillSimulator:
                 articulated part beyond its joint's limits.
             UnknownNameError: a further body of an unknown shape.
         """
-        self._check_open()
         joints = self._check_scene(scene)
         names, own = scene.layout.names, len(self._bodies)
         further = names[own:]
@@ -255,7 +254,6 @@ class ManiSkillSimulator:
 
     def step(self, action: np.ndarray) -> SimOutcome:
         """Apply an action (A,) in [-1, 1] for one control step."""
-        self._check_open()
         _, reward, _, _, info = self.env.step(np.asarray(action, dtype=np.float32))
         return self._outcome(reward, info)
 
@@ -296,10 +294,6 @@ class ManiSkillSimulator:
         """Joint positions and velocities (2, J) float32: radians (fingers: metres), and these a control step."""
         speeds = self._robot.get_qvel()[0].numpy() / self._base.control_freq
         return np.stack([self._robot.get_qpos()[0].numpy(), speeds]).astype(np.float32)
-
-    def _check_open(self) -> None:
-        if self.env is None:
-            raise PwmGymError(f"the simulator of {self._task} is closed; make another one")
 
     def close(self) -> None:
         """Free the simulator; calling it twice is harmless."""

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from pwm_gym.errors import SceneError
-from pwm_gym.sim.maniskill.poses import compose, pose7, relative, rotation
+from pwm_gym.scene.poses import compose, relative, rotation
+from pwm_gym.sim.maniskill.poses import pose7
 
 __all__ = ["articulated_links", "restore_articulations"]
 

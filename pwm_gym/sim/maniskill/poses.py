@@ -6,9 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from pwm_gym.scene.poses import compose, relative, rotation
-
-__all__ = ["compose", "pose7", "relative", "rotation"]
+__all__ = ["pose7"]
 
 
 def pose7(pose: Any) -> np.ndarray:

@@ -13,7 +13,7 @@ from pwm_gym.robots.control import Control
 from pwm_gym.scene import Scene
 from pwm_gym.scene.poses import compose, relative, rotation
 from pwm_gym.sim.mujoco.meshes import body_mesh, welded
-from pwm_gym.sim.mujoco.restore import JointSolver, place_free, place_mocaps, set_free_velocity
+from pwm_gym.sim.mujoco.restore import JointSolver, place_mocaps, set_free_velocity
 from pwm_gym.sim.mujoco.worlds import World, XmlWorld
 from pwm_gym.sim.protocol import SimOutcome
 
@@ -211,7 +211,8 @@ class MujocoSimulator:
 
     def _set_free(self, joint: int, poses: np.ndarray) -> None:
         """Pose and velocity of a free body of its poses (3, 7) in the world."""
-        place_free(self.data, int(self.model.jnt_qposadr[joint]), poses[0])
+        address = int(self.model.jnt_qposadr[joint])
+        self.data.qpos[address : address + 7] = poses[0]
         set_free_velocity(self.data, int(self.model.jnt_dofadr[joint]), poses, 1.0 / self.world.period)
 
     def place(self, name: str, pose: np.ndarray) -> None:

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import trimesh
 
 from pwm_gym.robots.fetch import FETCH, TABLE_HEIGHT, opening
 from pwm_gym.sim.mujoco.adapter import MujocoSimulator
@@ -49,6 +48,11 @@ class Instant:
         return float(1.0 - np.tanh(5.0 * np.linalg.norm(self.object - self.goal)))
 
     @property
+    def pushed(self) -> float:
+        """Reward of the pushing tasks, in [0, 1]: a quarter of :attr:`reach`, three of :attr:`place`."""
+        return 0.25 * (self.reach + 3.0 * self.place)
+
+    @property
     def success(self) -> bool:
         """The environments' own rule."""
         return bool(np.linalg.norm(self.object - self.goal) < GOAL_RADIUS)
@@ -62,6 +66,8 @@ def fetch_simulator(env_id: str, reward: Callable[[Instant], float], objects: Se
         reward: dense reward in [0, 1] of an instant without success; success is worth 1.
         objects: :data:`OBJECT`, where there is one.
     """
+    import trimesh
+
     world = RoboticsWorld(env_id)
     world.reset(0)
     bodies = {**FETCH.links, **dict.fromkeys(objects, "object0")}

@@ -6,9 +6,11 @@ from collections.abc import Collection, Iterator
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import torch
 
 from pwm_gym.errors import SceneError
-from pwm_gym.scene.poses import compose, rotation
+from pwm_gym.scene.poses import compose
+from pwm_gym.scene.se3 import matrix_from_pose7
 
 if TYPE_CHECKING:
     import trimesh
@@ -57,7 +59,8 @@ def body_mesh(model: Any, body: int, others: Collection[int] = (), visual: bool 
         for geom in np.flatnonzero(model.geom_bodyid == number).tolist():
             if _collides(model, geom) != visual and model.geom_type[geom] != _kind("PLANE"):
                 mesh = _geom_mesh(model, geom, hull=not visual)
-                mesh.apply_transform(_matrix(compose(place, np.r_[model.geom_pos[geom], model.geom_quat[geom]])))
+                pose = compose(place, np.r_[model.geom_pos[geom], model.geom_quat[geom]])
+                mesh.apply_transform(matrix_from_pose7(torch.as_tensor(pose)).numpy())
                 parts.append(mesh)
     if not parts:
         what = "visual geom" if visual else "geom that collides"
@@ -115,11 +118,3 @@ def _stored_mesh(model: Any, number: int, hull: bool) -> trimesh.Trimesh:
     vertices = model.mesh_vert[first : first + count].astype(np.float64)
     mesh = trimesh.Trimesh(vertices, model.mesh_face[face : face + faces].copy())
     return mesh.convex_hull if hull else mesh
-
-
-def _matrix(pose: np.ndarray) -> np.ndarray:
-    """Pose (7,) as (4, 4)."""
-    matrix = np.eye(4)
-    matrix[:3, :3] = rotation(pose).as_matrix()
-    matrix[:3, 3] = pose[:3]
-    return matrix

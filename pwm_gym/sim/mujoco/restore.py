@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from pwm_gym.errors import SceneError
 from pwm_gym.scene.poses import rotation
 
-__all__ = ["JointSolver", "place_free", "place_mocaps", "set_free_velocity"]
+__all__ = ["JointSolver", "place_mocaps", "set_free_velocity"]
 
 _STEPS = 30  # of Gauss-Newton; a single joint needs one, a chain with loops a handful
 _SOLVED = 1e-12  # metres and radians of a step that ends it
@@ -20,13 +20,8 @@ _OFF = (0.02, 0.1)  # metres and radians by which a body may miss its pose: mode
 _BEYOND = 0.02  # of a joint's range, by which a scene may exceed its limits: contacts push it there, too
 
 
-def place_free(data: Any, address: int, pose: np.ndarray) -> None:
-    """Put a free body, whose positions begin at ``address``, at a pose (7,) in the world."""
-    data.qpos[address : address + 7] = pose
-
-
 def set_free_velocity(data: Any, address: int, poses: np.ndarray, rate: float) -> None:
-    """Give a free body the velocity that its poses (3, 7) at t, t-1, t-2 tell.
+    """Give a free body the velocity that its poses (3, 7) at t, t-1, t-2 tell, of which the first two count.
 
     Args:
         data: MuJoCo's.
