@@ -14,12 +14,14 @@ from torch import Tensor
 from pwm_gym.costs import Cost, StagedCost, cost_info, get_cost, get_grasp, get_success
 from pwm_gym.errors import PwmGymError, SceneError, check_seed, unknown_name
 from pwm_gym.robots import Control
-from pwm_gym.scene import Layout, PointState, RigidState, Scene, State
+from pwm_gym.scene import POSE_FEATURES, Layout, PointState, RigidState, Scene, State, pose_features
 from pwm_gym.tasks import Task
 
 __all__ = [
     "BOUND",
+    "OBSERVATIONS",
     "Judgement",
+    "Observation",
     "Rules",
     "action_space",
     "check_actions",
@@ -30,7 +32,10 @@ __all__ = [
     "observation_space",
     "observe",
     "outside",
+    "pose_space",
+    "poses_of",
     "seeds_of",
+    "with_rows",
 ]
 
 BOUND = 2.0
@@ -65,6 +70,30 @@ def observe(state: State, goal: Tensor) -> dict[str, Tensor]:
         "previous_velocity": previous.clamp_(-_SPEED, _SPEED),
         "goal": goal.clamp(-BOUND, BOUND),
     }
+
+
+def pose_space(layout: Layout, goal_size: int) -> spaces.Space[Any]:
+    """Box (12 E + G,) float32 of the entities' positions, rotations and velocities, and the goal."""
+    return spaces.Box(-BOUND, BOUND, (POSE_FEATURES * len(layout) + goal_size,), np.float32)
+
+
+def poses_of(state: State, goal: Tensor) -> Tensor:
+    """Observations (B, 12 E + G) of a state (B,), clipped to :func:`pose_space`; a fresh tensor."""
+    return pose_features(state, goal).clamp_(-BOUND, BOUND)
+
+
+@dataclass(frozen=True)
+class Observation:
+    """A way to show a state."""
+
+    space: Callable[[Layout, int], spaces.Space[Any]]
+    """Space of the scenes of a layout with goals of a size."""
+    observe: Callable[[State, Tensor], Any]
+    """Observations (B, ...) of a state (B,) and goals (B, G)."""
+
+
+OBSERVATIONS = {"points": Observation(observation_space, observe), "poses": Observation(pose_space, poses_of)}
+"""Name -> what a batch may show."""
 
 
 def first_entities(state: State, layout: Layout) -> State:
@@ -233,3 +262,22 @@ class Rules:
         terms = self.cost.evaluate(points, info)
         reward = -torch.stack(list(terms.values())).sum(0)
         return Judgement(reward, terms, success, grasped, stage)
+
+
+def with_rows(state: State, index: Tensor, fresh: State) -> State:
+    """A state (B,) whose rows at ``index`` are those of ``fresh``.
+
+    Raises:
+        SceneError: one of them knows what the other does not, such as the robot's joints.
+    """
+    if isinstance(state, RigidState) and isinstance(fresh, RigidState):  # what a model's steps drop is not missed
+        joints = None if state.joints is None else fresh.joints
+        fresh = replace(fresh, joints=joints, error=None if state.error is None else fresh.error)
+    old, new = ([x.shape[1:] for x in s.tensors] for s in (state, fresh))
+    if old != new:
+        raise SceneError(
+            f"the new scenes' state has tensors of shapes {[*map(tuple, new)]}, that of the environments which go on "
+            f"{[*map(tuple, old)]}; expected the same (are joints known in some scenes only?)"
+        )
+    rows = iter(fresh.tensors)
+    return state.map(lambda x: x.index_copy(0, index, next(rows)))

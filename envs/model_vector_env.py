@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from typing import Any
 
 import gymnasium as gym
@@ -14,9 +13,11 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from torch import Tensor
 
+from pwm_gym.dynamics.bank import SceneBank
 from pwm_gym.dynamics.checkpoint import load_checkpoint, resolve, use_device
 from pwm_gym.dynamics.protocols import expected_error
 from pwm_gym.envs.common import (
+    OBSERVATIONS,
     Judgement,
     Rules,
     action_space,
@@ -25,13 +26,12 @@ from pwm_gym.envs.common import (
     check_render_mode,
     first_entities,
     last_action,
-    observation_space,
-    observe,
     outside,
     seeds_of,
+    with_rows,
 )
 from pwm_gym.envs.rendering import SceneRenderer
-from pwm_gym.errors import PwmGymError, SceneError, check_whole
+from pwm_gym.errors import PwmGymError, SceneError, check_whole, look_up
 from pwm_gym.scene import Entity, RigidState, Scene, State, batch_state
 from pwm_gym.scene.se3 import pose7_from_matrix
 from pwm_gym.tasks import get_task
@@ -58,6 +58,9 @@ class ModelVectorEnv(EzPickle, gym.vector.VectorEnv[dict[str, np.ndarray], np.nd
         render_mode: None or "rgb_array".
         autoreset_mode: Gymnasium's ``AutoresetMode`` (or its value); NEXT_STEP by default.
         tensors: whether observations and rewards are torch tensors on ``device`` instead of NumPy arrays.
+        observation: "points" (the Dict of clouds and goal) or "poses" (as :class:`pwm_gym.wrappers.EntityPoses`;
+            no cloud is formed that only an observation would show).
+        scenes: what episodes start from; None takes the checkpoint's.
 
     Raises:
         UnknownNameError, CheckpointError, PwmGymError: arguments that do not fit, each naming the value.
@@ -85,6 +88,8 @@ class ModelVectorEnv(EzPickle, gym.vector.VectorEnv[dict[str, np.ndarray], np.nd
         render_mode: str | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         tensors: bool = False,
+        observation: str = "points",
+        scenes: SceneBank | None = None,
     ) -> None:
         EzPickle.__init__(
             self,
@@ -99,6 +104,8 @@ class ModelVectorEnv(EzPickle, gym.vector.VectorEnv[dict[str, np.ndarray], np.nd
             render_mode,
             autoreset_mode,
             tensors,
+            observation,
+            scenes,
         )
         check_whole("num_envs", num_envs, 1)
         if max_episode_steps is not None:
@@ -115,23 +122,30 @@ class ModelVectorEnv(EzPickle, gym.vector.VectorEnv[dict[str, np.ndarray], np.nd
         self.layout = self.task.layout if points is None else self.task.layout.resize(points)
         self.rules = Rules(self.task, cost, grasp)
         self.single_action_space = action_space(self.task.action_size)
-        self.single_observation_space = observation_space(self.layout, self.task.goal_size)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.observe_as(observation)
+        self._bank = scenes
         self._generators = [torch.Generator() for _ in range(num_envs)]
         for generator in self._generators:
             generator.seed()
         self._state: State | None = None
-        self.final_state: State | None = None
-        """With SAME_STEP, the state (B,) before the last restart, which replaced its finished rows."""
         self._goal = torch.zeros(num_envs, self.task.goal_size, device=self.device)
-        self.final_goal = self._goal
         self._action = torch.zeros(num_envs, self.task.action_size, device=self.device)
         self._assets: list[tuple[str, ...]] = [()] * num_envs
         self._elapsed = np.zeros(num_envs, np.int64)
         self._done = np.zeros(num_envs, bool)
         self._stage: Tensor | None = None  # (B,), where the task is a sequence of stages
         self._renderer: SceneRenderer | None = None
+
+    def observe_as(self, observation: str) -> None:
+        """Show "points" or "poses" from the next observation on; the spaces change with it.
+
+        Raises:
+            UnknownNameError: neither of the two.
+        """
+        self._shown = look_up("observation", observation, OBSERVATIONS)
+        self.single_observation_space = self._shown.space(self.layout, self.task.goal_size)
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
 
     @property
     def entities(self) -> tuple[Entity, ...]:
@@ -215,7 +229,7 @@ class ModelVectorEnv(EzPickle, gym.vector.VectorEnv[dict[str, np.ndarray], np.nd
         """One scene for each environment of ``mask``."""
         chosen = np.flatnonzero(mask)
         if scene is None:
-            bank = self.checkpoint.bank(self.task.name)
+            bank = self.checkpoint.bank(self.task.name) if self._bank is None else self._bank
             draws = [int(torch.randint(len(bank), (), generator=self._generators[i])) for i in chosen]
             return [bank.scene(k).coarsen(self.layout) for k in draws]
         scenes: list[Any] = list(scene) if isinstance(scene, list | tuple) else [scene] * len(chosen)
@@ -240,7 +254,7 @@ class ModelVectorEnv(EzPickle, gym.vector.VectorEnv[dict[str, np.ndarray], np.nd
         fresh, actions = self._prepared(scenes, mask)
         goals = torch.as_tensor(np.stack([s.goal for s in scenes]), dtype=torch.float32, device=self.device)
         index = torch.as_tensor(np.flatnonzero(mask), device=self.device)
-        self._state = fresh if self._state is None or mask.all() else _with_rows(self._state, index, fresh)
+        self._state = fresh if self._state is None or mask.all() else with_rows(self._state, index, fresh)
         for i, scene in zip(np.flatnonzero(mask), scenes, strict=True):
             self._assets[i] = scene.assets
         self._goal = self._goal.index_copy(0, index, goals)
@@ -327,7 +341,6 @@ class ModelVectorEnv(EzPickle, gym.vector.VectorEnv[dict[str, np.ndarray], np.nd
         """SAME_STEP: the finished environments' first observations, their last ones in ``final_obs``."""
         done = self._done.copy()
         final = {"final_obs": observation, "_final_obs": done, "final_info": info, "_final_info": done}
-        self.final_state, self.final_goal = self._state, self._goal
         self._restart(done, self._scenes(None, done))
         judgement = self._judge()
         fresh = self._info(judgement, [""] * self.num_envs)
@@ -335,7 +348,7 @@ class ModelVectorEnv(EzPickle, gym.vector.VectorEnv[dict[str, np.ndarray], np.nd
 
     def _observation(self) -> Any:
         """Observations (num_envs, ...) of the present state."""
-        return self._out(observe(self.observed_state, self._goal))
+        return self._out(self._shown.observe(self.observed_state, self._goal))
 
     def _out(self, value: Any) -> Any:
         """Arrays (or tensors) for the caller, who alone holds ``value``."""
@@ -376,22 +389,3 @@ class ModelVectorEnv(EzPickle, gym.vector.VectorEnv[dict[str, np.ndarray], np.nd
 
     def close_extras(self, **kwargs: Any) -> None:
         """Nothing to free."""
-
-
-def _with_rows(state: State, index: Tensor, fresh: State) -> State:
-    """A state (B,) whose rows at ``index`` are those of ``fresh``.
-
-    Raises:
-        SceneError: one of them knows what the other does not, such as the robot's joints.
-    """
-    if isinstance(state, RigidState) and isinstance(fresh, RigidState):  # what a model's steps drop is not missed
-        joints = None if state.joints is None else fresh.joints
-        fresh = replace(fresh, joints=joints, error=None if state.error is None else fresh.error)
-    old, new = ([x.shape[1:] for x in s.tensors] for s in (state, fresh))
-    if old != new:
-        raise SceneError(
-            f"the new scenes' state has tensors of shapes {[*map(tuple, new)]}, that of the environments which go on "
-            f"{[*map(tuple, old)]}; expected the same (are joints known in some scenes only?)"
-        )
-    rows = iter(fresh.tensors)
-    return state.map(lambda x: x.index_copy(0, index, next(rows)))

@@ -8,8 +8,9 @@ import gymnasium as gym
 import numpy as np
 from gymnasium.utils import RecordConstructorArgs
 
+from pwm_gym.envs.common import pose_space, poses_of
 from pwm_gym.errors import PwmGymError
-from pwm_gym.scene import POSE_FEATURES, Layout, pose_features
+from pwm_gym.scene import Layout
 
 __all__ = ["EntityPoses", "FlattenPoints", "Subsample", "at_points", "subsampled"]
 
@@ -54,13 +55,12 @@ class EntityPoses(gym.ObservationWrapper[np.ndarray, np.ndarray, dict[str, np.nd
         RecordConstructorArgs.__init__(self)
         gym.ObservationWrapper.__init__(self, env)
         base: Any = env.unwrapped
-        size = POSE_FEATURES * len(base.entities) + base.task.goal_size
-        self.observation_space = gym.spaces.Box(-2.0, 2.0, (size,), np.float32)
+        self.observation_space = pose_space(Layout(base.entities), base.task.goal_size)
 
     def observation(self, observation: dict[str, np.ndarray]) -> np.ndarray:
         """The vector (12 E + G,)."""
         base: Any = self.env.unwrapped
-        return pose_features(base.observed_state, base.goal)[0].cpu().numpy().clip(-2.0, 2.0)
+        return np.asarray(poses_of(base.observed_state, base.goal)[0].cpu().numpy())
 
 
 def subsampled(space: gym.spaces.Space[Any], layout: Layout, points: int) -> tuple[gym.spaces.Space[Any], np.ndarray]:

@@ -11,12 +11,9 @@ from gymnasium.vector import AutoresetMode
 from stable_baselines3.common.vec_env import VecEnv
 
 from pwm_gym.envs.model_vector_env import ModelVectorEnv
-from pwm_gym.errors import PwmGymError, unknown_name
-from pwm_gym.scene import POSE_FEATURES, pose_features
+from pwm_gym.errors import PwmGymError
 
 __all__ = ["SB3VecEnv"]
-
-_OBSERVATIONS = ("poses", "points")
 
 
 class SB3VecEnv(VecEnv):
@@ -24,8 +21,8 @@ class SB3VecEnv(VecEnv):
 
     Args:
         env: a native batch made with ``autoreset_mode="SameStep"``.
-        observation: "poses" (as :class:`pwm_gym.wrappers.EntityPoses`) or "points" (the environment's own
-            Dict).
+        observation: what it shows from now on: "poses" (as :class:`pwm_gym.wrappers.EntityPoses`) or "points" (the
+            Dict of clouds and goal).
 
     Example:
         >>> env = gym.make_vec("pwm/PickCube-v0", num_envs=8, autoreset_mode="SameStep")  # doctest: +SKIP
@@ -38,30 +35,18 @@ class SB3VecEnv(VecEnv):
             raise PwmGymError(f"SB3VecEnv takes a ModelVectorEnv; got {type(base).__name__}")
         if base.autoreset_mode is not AutoresetMode.SAME_STEP:
             raise PwmGymError(f"autoreset_mode is {base.autoreset_mode}; expected AutoresetMode.SAME_STEP")
-        if observation not in _OBSERVATIONS:
-            raise unknown_name("observation", observation, _OBSERVATIONS)
-        self.env, self._base, self._poses = env, base, observation == "poses"
+        base.observe_as(observation)
+        self.env, self._base = env, base
         self._actions = np.zeros(base.action_space.shape or (), np.float32)
         self._seeds: int | None = None
         self.render_mode = base.render_mode
-        super().__init__(base.num_envs, self._space(), base.single_action_space)
-
-    def _space(self) -> gym.Space[Any]:
-        if not self._poses:
-            return self._base.single_observation_space
-        size = POSE_FEATURES * len(self._base.entities) + self._base.task.goal_size
-        return gym.spaces.Box(-2.0, 2.0, (size,), np.float32)
-
-    def _observed(self, observation: Any) -> Any:
-        if not self._poses:
-            return observation
-        return pose_features(self._base.observed_state, self._base.goal).cpu().numpy().clip(-2.0, 2.0)
+        super().__init__(base.num_envs, base.single_observation_space, base.single_action_space)
 
     def reset(self) -> Any:
         """First observations (num_envs, ...)."""
         observation, _ = self.env.reset(seed=self._seeds)
         self._seeds = None
-        return self._observed(observation)
+        return observation
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
         """Seed of the next reset."""
@@ -78,19 +63,13 @@ class SB3VecEnv(VecEnv):
         done = terminated | truncated
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         final = info.get("final_info", info)
-        last = self._last_poses() if self._poses and done.any() else None
         for i in map(int, np.flatnonzero(done)):
             infos[i] = {
                 "is_success": bool(final["success"][i]),
                 "TimeLimit.truncated": bool(truncated[i] and not terminated[i]),
-                "terminal_observation": _row(info["final_obs"], i) if last is None else last[i],
+                "terminal_observation": _row(info["final_obs"], i),
             }
-        return self._observed(observation), np.asarray(reward, np.float32), done, infos
-
-    def _last_poses(self) -> np.ndarray:
-        """Features of the states before the restart."""
-        assert self._base.final_state is not None
-        return pose_features(self._base.final_state, self._base.final_goal).cpu().numpy().clip(-2.0, 2.0)
+        return observation, np.asarray(reward, np.float32), done, infos
 
     def close(self) -> None:
         """Close the batch."""
@@ -119,5 +98,6 @@ class SB3VecEnv(VecEnv):
         return list(self._base.render() or [None] * self.num_envs)
 
 
-def _row(batch: dict[str, np.ndarray], i: int) -> dict[str, np.ndarray]:
-    return {name: value[i] for name, value in batch.items()}
+def _row(batch: Any, i: int) -> Any:
+    """Row ``i`` of observations: an array, or a dict of arrays."""
+    return {name: value[i] for name, value in batch.items()} if isinstance(batch, dict) else batch[i]
