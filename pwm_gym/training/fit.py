@@ -310,7 +310,6 @@ def _describe(config: FitConfig, sources: Sequence[Dataset]) -> dict[str, Any]:
         "transitions": sum(map(len, episodes)),
         "joints": _joints(sources),
         "view": config.view,
-        "source": "ManiSkill 3 simulation (Apache-2.0), scripted expert",
     }
 
 
