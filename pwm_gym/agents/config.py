@@ -38,7 +38,7 @@ class AgentConfig:
     """Where it learns: in the world "model", or in its simulator twin, "sim"."""
     checkpoint: str = "default"
     """The world model's folder or a shipped name."""
-    steps: int = 3_000_000
+    steps: int = 5_000_000
     """Environment steps in all."""
     num_envs: int = 0
     """Environments at once; 0 takes what suits the algorithm and the world."""
@@ -52,13 +52,13 @@ class AgentConfig:
     """Longer episodes are truncated; what would come after counts all the same."""
     discount: float = 0.9
     """Of a reward one step later."""
-    learning_rate: float = 5e-4
+    learning_rate: float = 7e-4
     """Adam's at the start; it falls linearly to a tenth."""
     rollout: int = 0
     """PPO's steps of each environment between two updates; 0 takes what suits their number."""
     width: int = 256
     """Channels of the two hidden layers."""
-    exploration: float = 0.4
+    exploration: float = 0.5
     """PPO's first standard deviation of actions."""
     snapshot_every: int = 500_000
     """Environment steps between saved policies; 0 saves the last alone."""
@@ -119,9 +119,9 @@ class AgentConfig:
         return {
             **shared,
             "n_steps": rollout,
-            "batch_size": max(rollout * self.environments // 8, 2),
-            "n_epochs": 6,
+            "batch_size": max(rollout * self.environments // 16, 2),
+            "n_epochs": 8,
             "gae_lambda": 0.9,
-            "target_kl": 0.05,
+            "target_kl": 0.1,
             "max_grad_norm": 0.5,
         }
