@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from scipy.stats import spearmanr
+from scipy.stats import rankdata
 
 from pwm_gym.errors import PwmGymError
 from pwm_gym.evaluation.metrics import pearson
@@ -14,7 +14,7 @@ from pwm_gym.evaluation.planning import wilson
 
 __all__ = ["max_rank_violation", "ranking_table"]
 
-_DRAWS = 1000  # of the bootstrap
+_DRAWS = 500  # of the bootstrap
 
 
 def max_rank_violation(*, simulator: np.ndarray, model: np.ndarray) -> float:
@@ -57,11 +57,12 @@ def ranking_table(names: Sequence[str], model: np.ndarray, simulator: np.ndarray
     if not told.shape[1]:
         raise PwmGymError("no scene is left to rank by; expected at least one that is not solved at reset")
     draws = np.random.default_rng(0).integers(0, told.shape[1], (_DRAWS, told.shape[1]))
+    drawn = [each[:, draws].mean(-1).T for each in (told, real)]  # rates (D, P) twice
     measures = {"pearson": pearson, "spearman": _spearman, "mmrv": _violation}
     return {
         "policies": len(names),
         "scenes": told.shape[1],
-        **{name: _with_interval(measure, told, real, draws) for name, measure in measures.items()},
+        **{name: _with_interval(measure, told.mean(1), real.mean(1), drawn) for name, measure in measures.items()},
         "agreement": float((told == real).mean()),
         "between_20_and_80": int(((real.mean(1) >= 0.2) & (real.mean(1) <= 0.8)).sum()),
         "rows": [_row(name, told[i], real[i]) for i, name in enumerate(names)],
@@ -70,9 +71,7 @@ def ranking_table(names: Sequence[str], model: np.ndarray, simulator: np.ndarray
 
 def _spearman(model: np.ndarray, simulator: np.ndarray) -> float | None:
     """Spearman's correlation of rates (P,); None where one of them does not vary."""
-    if np.ptp(model) == 0 or np.ptp(simulator) == 0:
-        return None
-    return float(spearmanr(model, simulator).statistic)
+    return pearson(rankdata(model), rankdata(simulator))
 
 
 def _violation(model: np.ndarray, simulator: np.ndarray) -> float:
@@ -83,13 +82,12 @@ def _with_interval(
     measure: Callable[[np.ndarray, np.ndarray], float | None],
     model: np.ndarray,
     simulator: np.ndarray,
-    draws: np.ndarray,
+    drawn: Sequence[np.ndarray],
 ) -> dict[str, Any]:
-    """A measure of success rates, and its 95 % interval over draws (D, N) of scenes."""
-    drawn = [measure(model[:, d].mean(1), simulator[:, d].mean(1)) for d in draws]
-    known = [value for value in drawn if value is not None]
+    """A measure of success rates (P,), and its 95 % interval over rates (D, P) of draws of scenes."""
+    known = [value for told, real in zip(*drawn, strict=True) if (value := measure(told, real)) is not None]
     bounds = np.quantile(known, [0.025, 0.975]).tolist() if known else None
-    return {"value": measure(model.mean(1), simulator.mean(1)), "interval": bounds}
+    return {"value": measure(model, simulator), "interval": bounds}
 
 
 def _row(name: str, model: np.ndarray, simulator: np.ndarray) -> dict[str, Any]:
