@@ -15,6 +15,7 @@ import pwm_gym
 from pwm_gym.agents import AgentConfig, load_agent, train, training
 from pwm_gym.agents.config import ALGORITHMS
 from pwm_gym.agents.worlds import SuccessIsBest, make_world
+from pwm_gym.cli import main
 from pwm_gym.dynamics import load_checkpoint, resolve
 from pwm_gym.errors import CheckpointError, PwmGymError, UnknownNameError
 from pwm_gym.policies import PolicyAgent
@@ -187,3 +188,29 @@ def test_folders_that_hold_no_such_policy(trained, tmp_path):
         (folder / "config.json").write_text(json.dumps({**described, **changes}))
         with pytest.raises(CheckpointError, match=message):
             load_agent(folder)
+
+
+def test_from_the_command_line(tmp_path, capsys, monkeypatch):
+    drawn = []
+    monkeypatch.setattr("pwm_gym.viewer.write_gif", lambda record, path: drawn.append((record.title, path)))
+    settings = {"steps": 16, "num-envs": 2, "rollout": 4, "width": 8, "episode-steps": 4, "threads": 1}
+    options = [word for name, value in settings.items() for word in (f"--agent.{name}", str(value))]
+    where = ["--out", f"{tmp_path}/run", "--json", f"{tmp_path}/test.json", "--video", f"{tmp_path}/test.gif"]
+    main(["train-agent", "--algo", "ppo", "--test-in", "model", "--episodes", "1", *options, *where])
+    told = json.loads((tmp_path / "test.json").read_text())
+    assert told["episodes"] == 1 and told["tested_in"] == "model" and told["training"]["steps"] >= 16
+    assert drawn == [("PickCube: ppo in the model", tmp_path / "test.gif")]
+    assert "environment steps in" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--algo", "dqn"], "unknown algo 'dqn'; known: cloning, ppo, sac"),
+        (["--in", "real"], "unknown world 'real'; known: model, sim"),
+        (["--algo", "ppo", "--test-in", "sims"], "unknown test_in 'sims'; known: model, sim. Did you mean 'sim'"),
+    ],
+)
+def test_commands_that_cannot_be(options, message, tmp_path):
+    with pytest.raises(SystemExit, match=message):
+        main(["train-agent", *options, "--out", str(tmp_path)])
