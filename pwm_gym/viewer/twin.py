@@ -12,11 +12,12 @@ from PIL import Image, ImageDraw
 from pwm_gym.errors import PwmGymError
 from pwm_gym.scene import Layout
 from pwm_gym.viewer.camera import Camera, check_points, frame_camera
-from pwm_gym.viewer.chart import AXIS, INK, MUTED, Chart, Curve, fit, swatch, text
+from pwm_gym.viewer.labels import INK, MUTED, fit, swatch, text
 from pwm_gym.viewer.palette import GOAL, PREDICTED, TRUE, Color, entity_colors
 from pwm_gym.viewer.splat import render
+from pwm_gym.viewer.timeline import Curve, Panel, Timeline
 
-__all__ = ["TwinRecord", "Views", "twin_frame", "write_gif", "write_png"]
+__all__ = ["TwinRecord", "Views", "timeline", "twin_frame", "write_gif", "write_png"]
 
 _PAPER: Color = (255, 255, 255)
 _MARGIN, _GAP, _HEADER, _CAPTION, _CHART = 28, 16, 76, 30, 190  # pixels
@@ -167,13 +168,8 @@ class _Figure:
         below = self.top + panel + _GAP
         self.still = Image.new("RGB", (self.width, below + _CHART + 8), _PAPER)
         self._captions()
-        self.charts = _charts(record, _MARGIN, below, self.width - _MARGIN)
-        strong = self.still.copy()
-        for chart in self.charts:
-            drawn = chart.draw(self.still)
-            area = (chart.plot[0] - 6, chart.plot[1] - 6, chart.plot[2] + 6, chart.plot[3] + 6)
-            strong.paste(drawn.crop(area), area[:2])
-        self.strong = strong
+        self.below = below
+        self.charts = timeline(record, self.width - 2 * _MARGIN, _CHART).frames()
 
     def frame(self, t: int) -> Image.Image:
         """The figure at step ``t``."""
@@ -184,8 +180,7 @@ class _Figure:
         for i in range(3):
             view = self.views.draw(i, t)
             image.paste(view, (_MARGIN + i * (self.panel + _GAP), self.top), _rounded(self.panel))
-        for chart in self.charts:
-            chart.reveal(image, self.strong, t)
+        image.paste(self.charts.at(t), (_MARGIN, self.below))
         return image
 
     def _captions(self) -> None:
@@ -233,21 +228,15 @@ def _heading(image: Image.Image, record: TwinRecord) -> None:
     text(image, (_MARGIN, 52), fit(record.subtitle, 14, width - 150), 14, MUTED)
 
 
-def _charts(record: TwinRecord, left: int, top: int, right: int) -> list[Chart]:
-    """The error's chart and, where both rewards are known, the rewards' beside it."""
-    error = Curve("", 1000 * np.asarray(record.error, dtype=np.float64), INK)
-    title = "Chamfer distance (mm)"
-    if record.predicted_reward is None or record.true_reward is None:
-        return [Chart((left, top, right, top + _CHART), title, [error], from_zero=True, unit="mm")]
-    middle = (left + right) // 2
-    rewards = [
-        Curve("true", np.asarray(record.true_reward, dtype=np.float64), TRUE),
-        Curve("predicted", np.asarray(record.predicted_reward, dtype=np.float64), PREDICTED),
-    ]
-    return [
-        Chart((left, top, middle - _GAP, top + _CHART), title, [error], from_zero=True, unit="mm"),
-        Chart((middle + _GAP, top, right, top + _CHART), "Reward", rewards),
-    ]
+def timeline(record: TwinRecord, width: int, height: int) -> Timeline:
+    """The error's chart and, where both rewards are known, the rewards' beside it, so many pixels in all."""
+    error = Curve("error", 1000 * np.asarray(record.error, dtype=np.float64), INK)
+    panels = [Panel("Chamfer distance (mm)", (error,), unit="mm", from_zero=True)]
+    if record.predicted_reward is not None and record.true_reward is not None:
+        true = Curve("true", np.asarray(record.true_reward, dtype=np.float64), TRUE)
+        predicted = Curve("predicted", np.asarray(record.predicted_reward, dtype=np.float64), PREDICTED)
+        panels.append(Panel("Reward", (true, predicted)))
+    return Timeline(panels, width, height)
 
 
 def _rounded(size: int, radius: int = 10) -> Image.Image:
@@ -276,19 +265,8 @@ def _contact_sheet(record: TwinRecord, steps: list[int], panel: int) -> Image.Im
     for column, t in enumerate(steps):
         told = f"step {t}: {record.stages[t]}" if record.stages else f"step {t}"
         text(image, (left + column * (panel + gap) + panel / 2, top - 14), fit(told, 14, panel), 14, MUTED, "mm")
-    for chart in _charts(record, left, below, width - _MARGIN):
-        _marked(image, chart, steps)
+    image.paste(timeline(record, width - left - _MARGIN, _CHART).marked(steps), (left, below))
     return image
-
-
-def _marked(image: Image.Image, chart: Chart, steps: list[int]) -> None:
-    """The whole chart, with a line and dots at ``steps``."""
-    image.paste(chart.draw(image))
-    draw = ImageDraw.Draw(image)
-    for t in steps:
-        column = round(chart.x(t))
-        draw.line((column, chart.plot[1], column, chart.plot[3]), fill=AXIS)
-        chart.mark(image, t)
 
 
 def _shared_palette(frames: list[Image.Image]) -> Image.Image:
