@@ -77,8 +77,8 @@ class Timeline:
         """Pictures of one step each."""
         return Frames(self)
 
-    def svg(self) -> tuple[str, list[tuple[float, float]]]:
-        """The whole curves as an ``<svg>`` element, and the columns of each chart's first and last step in it."""
+    def svg(self) -> tuple[str, list[list[float]]]:
+        """The whole curves as an ``<svg>`` element, and each chart's left, right, top and bottom in its units."""
         import matplotlib
 
         figure, charts = self._figure()
@@ -86,10 +86,12 @@ class Timeline:
         file = io.StringIO()
         with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": "pwm_gym"}):
             figure.savefig(file, format="svg", metadata=nothing)
-        scale = _POINTS_AN_INCH / figure.dpi
-        ends = [scale * axes.transData.transform([(0, 0), (self.last, 0)])[:, 0] for axes in charts]
         drawn = file.getvalue()
-        return drawn[drawn.index("<svg") :], [(float(first), float(last)) for first, last in ends]
+        scale = _POINTS_AN_INCH / figure.dpi
+        boxes = [axes.bbox.extents * scale for axes in charts]
+        height = figure.bbox.height * scale  # an SVG counts downwards
+        edges = [[left, right, height - above, height - below] for left, below, right, above in boxes]
+        return drawn[drawn.index("<svg") :], [[round(float(x), 2) for x in box] for box in edges]
 
     def _figure(self, alpha: float = 1.0) -> tuple[Any, list[Axes]]:
         """The figure with all curves, and its charts."""

@@ -17,12 +17,13 @@ from pwm_gym.viewer.palette import GOAL, PREDICTED, TRUE, Color, entity_colors
 from pwm_gym.viewer.splat import render
 from pwm_gym.viewer.timeline import Curve, Panel, Timeline
 
-__all__ = ["TwinRecord", "Views", "timeline", "twin_frame", "write_gif", "write_png"]
+__all__ = ["TITLES", "TwinRecord", "Views", "timeline", "twin_frame", "write_gif", "write_mp4", "write_png"]
 
 _PAPER: Color = (255, 255, 255)
 _MARGIN, _GAP, _HEADER, _CAPTION, _CHART = 28, 16, 76, 30, 190  # pixels
-_TITLES = ("World model (predicted)", "Simulator (true)", "Overlay")
+TITLES = ("World model (predicted)", "Simulator (true)", "Overlay")
 _GIF_FRAMES = 80
+_HOLD = 1.5  # seconds that the last step stands still
 _MIN_PANEL = 200  # pixels; titles need it
 _MIN_SHEET = 640  # pixels
 _NUDGE = 0.008  # metres
@@ -130,9 +131,42 @@ def write_gif(
     frames = [figure.frame(t) for t in steps]
     palette = _shared_palette(frames)
     indexed = [f.quantize(palette=palette, dither=Image.Dither.NONE) for f in frames]
-    durations = [round(1000 / fps)] * (len(steps) - 1) + [1500]  # the end stands still for a moment
+    hold = round(1000 * _HOLD)  # the end stands still for a moment
+    durations = [round(1000 / fps)] * (len(steps) - 1) + [hold]
     path = Path(path)
     indexed[0].save(path, "GIF", save_all=True, append_images=indexed[1:], duration=durations, loop=0, disposal=1)
+    return path
+
+
+def write_mp4(record: TwinRecord, path: str | Path, fps: float = 12, panel: int = 288) -> Path:
+    """Write the episode as a film, every step a frame (H.264, which browsers play); returns its path.
+
+    Args:
+        record: the episode.
+        path: file to write.
+        fps: frames per second.
+        panel: side of each of the three views, pixels.
+
+    Raises:
+        PwmGymError: the rate is not positive, or imageio-ffmpeg is not installed.
+    """
+    if not fps > 0:
+        raise PwmGymError(f"fps={fps}; expected a positive rate")
+    try:
+        import imageio_ffmpeg
+    except ModuleNotFoundError as error:
+        raise PwmGymError(f"{error}; a film needs imageio-ffmpeg: pip install 'pwm-gym[video]'") from error
+
+    figure = _Figure(record, panel)
+    size = (figure.width + figure.width % 2, figure.height + figure.height % 2)  # the codec's are even
+    path = Path(path)
+    writer = imageio_ffmpeg.write_frames(str(path), size, fps=fps, macro_block_size=2, ffmpeg_log_level="error")
+    writer.send(None)
+    for t in [*range(record.steps), *[record.steps - 1] * round(_HOLD * fps)]:
+        frame = Image.new("RGB", size, _PAPER)
+        frame.paste(figure.frame(t))
+        writer.send(frame.tobytes())
+    writer.close()
     return path
 
 
@@ -166,7 +200,8 @@ class _Figure:
         self.width = 2 * _MARGIN + 3 * panel + 2 * _GAP
         self.top = _HEADER + _CAPTION
         below = self.top + panel + _GAP
-        self.still = Image.new("RGB", (self.width, below + _CHART + 8), _PAPER)
+        self.height = below + _CHART + 8
+        self.still = Image.new("RGB", (self.width, self.height), _PAPER)
         self._captions()
         self.below = below
         self.charts = timeline(record, self.width - 2 * _MARGIN, _CHART).frames()
@@ -191,7 +226,7 @@ class _Figure:
             for color in colors:
                 swatch(self.still, (left, row), color, 13)
                 left += 17
-            text(self.still, (left + 3, row), _TITLES[i], 15)
+            text(self.still, (left + 3, row), TITLES[i], 15)
         if self.record.goal is not None:
             end = self.width - _MARGIN
             used = text(self.still, (end, self.top - 16), "goal", 13, MUTED, "rm")
@@ -257,7 +292,7 @@ def _contact_sheet(record: TwinRecord, steps: list[int], panel: int) -> Image.Im
     views, mask = Views(record, panel), _rounded(panel)
     for row in range(3):
         label = Image.new("RGB", (panel, 24), _PAPER)
-        text(label, (panel / 2, 12), _TITLES[row], 14, INK, "mm")
+        text(label, (panel / 2, 12), TITLES[row], 14, INK, "mm")
         image.paste(label.rotate(90, expand=True), (_MARGIN, top + row * (panel + gap)))
         for column, t in enumerate(steps):
             place = (left + column * (panel + gap), top + row * (panel + gap))
