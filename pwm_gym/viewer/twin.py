@@ -162,10 +162,12 @@ def write_mp4(record: TwinRecord, path: str | Path, fps: float = 12, panel: int 
     path = Path(path)
     writer = imageio_ffmpeg.write_frames(str(path), size, fps=fps, macro_block_size=2, ffmpeg_log_level="error")
     writer.send(None)
-    for t in [*range(record.steps), *[record.steps - 1] * round(_HOLD * fps)]:
+    for t in range(record.steps):
         frame = Image.new("RGB", size, _PAPER)
         frame.paste(figure.frame(t))
-        writer.send(frame.tobytes())
+        held = round(_HOLD * fps) if t == record.steps - 1 else 0
+        for _ in range(1 + held):
+            writer.send(frame.tobytes())
     writer.close()
     return path
 
