@@ -11,8 +11,9 @@ from gymnasium.utils import EzPickle
 from gymnasium.vector import AutoresetMode
 from torch import Tensor
 
-from pwm_gym.envs.common import Rules, check_actions
+from pwm_gym.envs.common import Rules, check_actions, check_render_mode
 from pwm_gym.envs.model_vector_env import ModelVectorEnv
+from pwm_gym.envs.rendering import Window, modes_here
 from pwm_gym.errors import check_seed
 from pwm_gym.scene import Entity, Scene, State
 
@@ -64,13 +65,14 @@ class ModelEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
     `expected_error`: how far each entity's points may be from the truth by now, metres on average.
 
     ## Arguments
-    Those of :class:`pwm_gym.envs.ModelVectorEnv` but for `num_envs`, the time limit and autoreset.
+    `render_mode` may be "human", too: a window that shows every step (extra `video`). The others are
+    those of :class:`pwm_gym.envs.ModelVectorEnv` but for `num_envs`, the time limit and autoreset.
 
     ## Version history
     * v0: initial release.
     """
 
-    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 20}  # noqa: RUF012
+    metadata: dict[str, Any] = {"render_modes": ["human", "rgb_array"], "render_fps": 20}  # noqa: RUF012
 
     def __init__(
         self,
@@ -81,8 +83,13 @@ class ModelEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
         device: str = "cpu",
         points: int | None = None,
         render_mode: str | None = None,
+        width: int = 320,
+        height: int = 320,
     ) -> None:
-        EzPickle.__init__(self, task, checkpoint, cost, grasp, device, points, render_mode)
+        EzPickle.__init__(self, task, checkpoint, cost, grasp, device, points, render_mode, width, height)
+        self.metadata = {**self.metadata, "render_modes": modes_here(self.metadata["render_modes"])}
+        self._window = Window(self.metadata["render_fps"]) if render_mode == "human" else None
+        check_render_mode(render_mode, self.metadata["render_modes"])
         self.vector = ModelVectorEnv(
             task,
             num_envs=1,
@@ -91,7 +98,9 @@ class ModelEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
             grasp=grasp,
             device=device,
             points=points,
-            render_mode=render_mode,
+            render_mode="rgb_array" if self._window is not None else render_mode,
+            width=width,
+            height=height,
             autoreset_mode=AutoresetMode.DISABLED,
         )
         self.render_mode = render_mode
@@ -146,6 +155,7 @@ class ModelEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
         """Start an episode; ``options["scene"]`` gives its scene."""
         super().reset(seed=None if seed is None else check_seed(seed))
         observation, info = self.vector.reset(seed=seed, options=options)
+        self._show()
         return _first(observation), _first_info(info)
 
     def step(self, action: np.ndarray) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
@@ -154,12 +164,26 @@ class ModelEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
         self.vector.resume()
         observation, reward, terminated, truncated, info = self.vector.step(batch)
         done = bool(terminated[0]), bool(truncated[0])
+        self._show()
         return _first(observation), float(reward[0]), *done, _first_info(info)
 
     def render(self) -> np.ndarray | None:
-        """A picture (H, W, 3) uint8 with ``render_mode="rgb_array"``."""
+        """A picture (H, W, 3) uint8 with ``render_mode="rgb_array"``; with "human", every step shows itself."""
+        return None if self._window is not None else self._picture()
+
+    def _picture(self) -> np.ndarray | None:
         pictures = self.vector.render()
         return None if pictures is None else pictures[0]
+
+    def _show(self) -> None:
+        """Show the present state in the window, where there is one."""
+        if self._window is not None and (picture := self._picture()) is not None:
+            self._window.show(picture)
+
+    def close(self) -> None:
+        """Close the window, where there is one."""
+        if self._window is not None:
+            self._window.close()
 
 
 def _first(batch: dict[str, np.ndarray]) -> dict[str, np.ndarray]:

@@ -30,7 +30,8 @@ from pwm_gym.envs.common import (
     seeds_of,
     with_rows,
 )
-from pwm_gym.envs.rendering import SceneRenderer
+from pwm_gym.envs.rendering import SceneRenderer, picture_camera
+from pwm_gym.envs.texts import text_array
 from pwm_gym.errors import PwmGymError, SceneError, check_whole, look_up
 from pwm_gym.scene import Entity, RigidState, Scene, State, batch_state
 from pwm_gym.scene.se3 import pose7_from_matrix
@@ -61,6 +62,8 @@ class ModelVectorEnv(EzPickle, gym.vector.VectorEnv[dict[str, np.ndarray], np.nd
         observation: "points" (the Dict of clouds and goal) or "poses" (as :class:`pwm_gym.wrappers.EntityPoses`;
             no cloud is formed that only an observation would show).
         scenes: what episodes start from; None takes the checkpoint's.
+        width: of pictures, pixels.
+        height: of pictures, pixels.
 
     Raises:
         UnknownNameError, CheckpointError, PwmGymError: arguments that do not fit, each naming the value.
@@ -90,6 +93,8 @@ class ModelVectorEnv(EzPickle, gym.vector.VectorEnv[dict[str, np.ndarray], np.nd
         tensors: bool = False,
         observation: str = "points",
         scenes: SceneBank | None = None,
+        width: int = 320,
+        height: int = 320,
     ) -> None:
         EzPickle.__init__(
             self,
@@ -106,6 +111,8 @@ class ModelVectorEnv(EzPickle, gym.vector.VectorEnv[dict[str, np.ndarray], np.nd
             tensors,
             observation,
             scenes,
+            width,
+            height,
         )
         check_whole("num_envs", num_envs, 1)
         if max_episode_steps is not None:
@@ -135,6 +142,7 @@ class ModelVectorEnv(EzPickle, gym.vector.VectorEnv[dict[str, np.ndarray], np.nd
         self._elapsed = np.zeros(num_envs, np.int64)
         self._done = np.zeros(num_envs, bool)
         self._stage: Tensor | None = None  # (B,), where the task is a sequence of stages
+        self._picture_camera = picture_camera(width, height)
         self._renderer: SceneRenderer | None = None
 
     def observe_as(self, observation: str) -> None:
@@ -368,11 +376,10 @@ class ModelVectorEnv(EzPickle, gym.vector.VectorEnv[dict[str, np.ndarray], np.nd
             "success": judgement.success,
             "grasped": judgement.grasped,
             "cost_terms": arrays(judgement.terms),
-            "reason": np.array(reasons, dtype=object),
+            "reason": text_array(reasons),
         }
         if judgement.stage is not None:
-            names = np.array(self.rules.stage_names, dtype=object)
-            known["stage"] = names[judgement.stage.cpu().numpy()]
+            known["stage"] = text_array(self.rules.stage_names)[judgement.stage.cpu().numpy()]
         error = expected_error(self.state)
         if error is not None:
             known["expected_error"] = arrays(dict(zip(self.state.layout.names, error.unbind(-1), strict=True)))
@@ -383,7 +390,7 @@ class ModelVectorEnv(EzPickle, gym.vector.VectorEnv[dict[str, np.ndarray], np.nd
         if self.render_mode is None:
             return None
         if self._renderer is None or self._renderer.layout != self.state.layout:
-            self._renderer = SceneRenderer(self.state.layout, "predicted")
+            self._renderer = SceneRenderer(self.state.layout, "predicted", self._picture_camera)
         points, goals = self.state.points().cpu().numpy(), self._goal.cpu().numpy()
         return tuple(self._renderer(p, g) for p, g in zip(points, goals, strict=True))
 

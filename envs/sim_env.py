@@ -28,7 +28,7 @@ from pwm_gym.envs.common import (
     observe,
 )
 from pwm_gym.envs.observation_models import OBSERVATIONS, Bodies, CameraConfig
-from pwm_gym.envs.rendering import SceneRenderer
+from pwm_gym.envs.rendering import SceneRenderer, Window, modes_here, picture_camera
 from pwm_gym.errors import PwmGymError, SceneError, check_seed, unknown_name
 from pwm_gym.scene import Entity, Layout, RigidState, Scene, State, batch_state, sample_surface
 from pwm_gym.seeds import RANGES
@@ -111,13 +111,14 @@ class SimEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
     * `observation`: "complete", "completed" or "partial". * `camera`: viewpoint, sensor and completer of the
     last two: a `pwm_gym.envs.CameraConfig`, its fields as a dict, or a viewpoint's name.
     * `points`: points of a scene in all. * `objects`: what episodes draw their objects from, where they differ: one of
-    the task's `object_sets`, an object's name, or names. * `render_mode`: None or "rgb_array".
+    the task's `object_sets`, an object's name, or names. * `render_mode`: None, "rgb_array" or "human" (a
+    window that shows every step; extra `video`). * `width`, `height`: of its pictures, pixels.
 
     ## Version history
     * v0: initial release.
     """
 
-    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 20}  # noqa: RUF012
+    metadata: dict[str, Any] = {"render_modes": ["human", "rgb_array"], "render_fps": 20}  # noqa: RUF012
 
     def __init__(
         self,
@@ -129,11 +130,17 @@ class SimEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
         render_mode: str | None = None,
         camera: CameraConfig | Mapping[str, Any] | str | None = None,
         objects: str | Sequence[str] | None = None,
+        width: int = 320,
+        height: int = 320,
     ) -> None:
-        EzPickle.__init__(self, task, cost, grasp, observation, points, render_mode, camera, objects)
+        EzPickle.__init__(self, task, cost, grasp, observation, points, render_mode, camera, objects, width, height)
         if observation not in OBSERVATIONS:  # before a simulator is made
             raise unknown_name("observation", observation, OBSERVATIONS)
-        self.task, self.render_mode = get_task(task), check_render_mode(render_mode, self.metadata["render_modes"])
+        self.task, self.render_mode = get_task(task), render_mode
+        self.metadata = {**self.metadata, "render_modes": modes_here(self.metadata["render_modes"])}
+        self._window = Window(self.metadata["render_fps"]) if render_mode == "human" else None
+        check_render_mode(render_mode, self.metadata["render_modes"])
+        self._picture_camera = picture_camera(width, height)
         self.layout = self.task.layout if points is None else self.task.layout.resize(points)
         self.rules = Rules(self.task, cost, grasp)
         self.action_space = action_space(self.task.action_size)
@@ -200,6 +207,7 @@ class SimEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
         self._stage = None
         self._observation.reset(int(self.np_random.integers(2**31)), bodies)
         self._show()
+        self._show_picture()
         return self._observe(), self._info(self._judge(), self.simulator.outcome())
 
     def _start(self, seed: int | None) -> Bodies:
@@ -247,6 +255,7 @@ class SimEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
         self._show()
         judgement = self._judge()
         info = self._info(judgement, outcome)
+        self._show_picture()
         return self._observe(), float(judgement.reward[0]), outcome.success, False, info
 
     def _show(self) -> None:
@@ -281,17 +290,25 @@ class SimEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
         }
 
     def render(self) -> np.ndarray | None:
-        """A picture (H, W, 3) uint8 with ``render_mode="rgb_array"``."""
-        if self.render_mode is None:
-            return None
+        """A picture (H, W, 3) uint8 with ``render_mode="rgb_array"``; with "human", every step shows itself."""
+        return self._picture() if self.render_mode == "rgb_array" else None
+
+    def _show_picture(self) -> None:
+        """Show the present state in the window, where there is one."""
+        if self._window is not None:
+            self._window.show(self._picture())
+
+    def _picture(self) -> np.ndarray:
         state = self.state
         if self._renderer is None or self._renderer.layout != state.layout:
-            self._renderer = SceneRenderer(state.layout, "true")
+            self._renderer = SceneRenderer(state.layout, "true", self._picture_camera)
         return self._renderer(state.points()[0].numpy(), self.goal[0].numpy())
 
     def close(self) -> None:
         """Free the simulator; calling it twice is harmless."""
         self._closed = True
+        if self._window is not None:
+            self._window.close()
         self.simulator.close()
 
     def _check_open(self) -> None:

@@ -58,6 +58,12 @@ def test_a_mujoco_model_of_ones_own_is_a_simulator():
     assert names["simulator"].assets() == ("pusher", "box")
 
 
+def test_the_viewers_page_writes_a_page_and_a_film(monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    run_page("docs/viewer.md")
+    assert "My run" in (tmp_path / "run.html").read_text() and list(tmp_path.glob("films/*.mp4"))
+
+
 def test_a_sequence_of_ones_own_goes_from_stage_to_stage(kept_registries):
     assert list(dict.fromkeys(run_page("docs/stages.md")["stages"])) == ["left", "back", "finished"]
 

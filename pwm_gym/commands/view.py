@@ -1,7 +1,8 @@
-"""``pwm-gym view``: a saved run as a picture and as a GIF."""
+"""``pwm-gym view``: a saved run as a picture, a GIF, a film or a page."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -24,12 +25,26 @@ _LOOKS = {0: "planned from the first frame alone", 1: "the model looks at every 
 
 @dataclass(frozen=True)
 class View:
-    """Draw a run that ``pwm-gym plan --save`` wrote: predicted, real and both side by side."""
+    """Draw a run that ``pwm-gym plan --save`` wrote: predicted, real and both side by side.
+
+    Without ``--html``, ``--gif`` or ``--mp4``, a picture (PNG) and a GIF.
+    """
 
     run_file: tyro.conf.Positional[Path]
     """The run (.npz)."""
     out: Path = Path("view")
     """Folder of the pictures, which are named after the run."""
+    html: Path | None = None
+    """File for a page that plays the run in 3D, with charts along its time slider; it opens without a network (needs
+    the extra "viewer")."""
+    gif: Path | None = None
+    """File for a GIF."""
+    mp4: Path | None = None
+    """File for a film."""
+    fps: float = 12.0
+    """Steps a second of what moves."""
+    panel: int = 288
+    """Side of each view of the GIF and the film, pixels."""
     rollout: bool = False
     """Whether to show one rollout from the first scene instead of what the planner predicted."""
     strip: bool = False
@@ -38,10 +53,9 @@ class View:
     """Of that rollout: a folder or a shipped checkpoint's name."""
 
     def run(self) -> None:
-        """Write the PNG and the GIF, and print the run's facts."""
+        """Write what is asked for, and print the run's facts."""
         from pwm_gym.dynamics import load_checkpoint, resolve
         from pwm_gym.planning import Agent, Run
-        from pwm_gym.viewer import draw_overlays, write_gif, write_png
 
         run = Run.load(self.run_file)
         shown = _LOOKS.get(run.chunk, f"the model looks every {run.chunk} steps")
@@ -49,15 +63,35 @@ class View:
             task = run.start.task
             agent = Agent(load_checkpoint(resolve(self.checkpoint, task)).model, task)
             run, shown = rolled_out(run, agent), FROM_THE_FIRST
-        record = twin_record(run, shown)
-        self.out.mkdir(parents=True, exist_ok=True)
         print(f"seed {run.seed}: {'success' if run.success else 'failure'} after {run.steps} steps; {shown}")
-        for suffix, write in ((".png", write_png), (".gif", write_gif)):
-            print(write(record, self.out / f"{self.run_file.stem}{suffix}"))
-        if self.strip:
-            path = self.out / f"{self.run_file.stem}-strip.png"
-            draw_overlays([record], record.title).save(path)
+        for path in self._write(twin_record(run, shown)):
             print(path)
+
+    def _write(self, record: TwinRecord) -> Iterator[Path]:
+        """Write every file that is asked for."""
+        from pwm_gym.viewer import draw_overlays, write_gif, write_html, write_mp4, write_png
+
+        stem = self.run_file.stem
+        plain = self.html is None and self.gif is None and self.mp4 is None
+        if plain:
+            yield write_png(record, _ready(self.out / f"{stem}.png"))
+        if self.strip:
+            path = _ready(self.out / f"{stem}-strip.png")
+            draw_overlays([record], record.title).save(path)
+            yield path
+        gif = self.out / f"{stem}.gif" if plain else self.gif
+        if gif is not None:
+            yield write_gif(record, _ready(gif), self.fps, panel=self.panel)
+        if self.mp4 is not None:
+            yield write_mp4(record, _ready(self.mp4), self.fps, self.panel)
+        if self.html is not None:
+            yield write_html(record, _ready(self.html), self.fps)
+
+
+def _ready(path: Path) -> Path:
+    """``path``, whose folder exists."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    return path
 
 
 def rolled_out(run: Run, agent: Agent) -> Run:

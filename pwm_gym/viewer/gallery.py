@@ -10,7 +10,7 @@ from PIL import Image
 
 from pwm_gym.errors import PwmGymError
 from pwm_gym.viewer.camera import Camera
-from pwm_gym.viewer.chart import INK, MUTED, fit, text
+from pwm_gym.viewer.labels import INK, MUTED, fit, text
 from pwm_gym.viewer.palette import BACKGROUND, PREDICTED, TRUE, Color
 from pwm_gym.viewer.splat import render
 

@@ -8,7 +8,7 @@ import numpy as np
 from PIL import Image
 
 from pwm_gym.errors import PwmGymError
-from pwm_gym.viewer.chart import INK, MUTED, fit, text
+from pwm_gym.viewer.labels import INK, MUTED, fit, text
 from pwm_gym.viewer.twin import TwinRecord, Views
 
 __all__ = ["draw_overlays"]

@@ -12,16 +12,18 @@ from PIL import Image, ImageDraw
 from pwm_gym.errors import PwmGymError
 from pwm_gym.scene import Layout
 from pwm_gym.viewer.camera import Camera, check_points, frame_camera
-from pwm_gym.viewer.chart import AXIS, INK, MUTED, Chart, Curve, fit, swatch, text
+from pwm_gym.viewer.labels import INK, MUTED, fit, swatch, text
 from pwm_gym.viewer.palette import GOAL, PREDICTED, TRUE, Color, entity_colors
 from pwm_gym.viewer.splat import render
+from pwm_gym.viewer.timeline import Curve, Panel, Timeline
 
-__all__ = ["TwinRecord", "Views", "twin_frame", "write_gif", "write_png"]
+__all__ = ["TITLES", "TwinRecord", "Views", "timeline", "twin_frame", "write_gif", "write_mp4", "write_png"]
 
 _PAPER: Color = (255, 255, 255)
 _MARGIN, _GAP, _HEADER, _CAPTION, _CHART = 28, 16, 76, 30, 190  # pixels
-_TITLES = ("World model (predicted)", "Simulator (true)", "Overlay")
+TITLES = ("World model (predicted)", "Simulator (true)", "Overlay")
 _GIF_FRAMES = 80
+_HOLD = 1.5  # seconds that the last step stands still
 _MIN_PANEL = 200  # pixels; titles need it
 _MIN_SHEET = 640  # pixels
 _NUDGE = 0.008  # metres
@@ -129,9 +131,44 @@ def write_gif(
     frames = [figure.frame(t) for t in steps]
     palette = _shared_palette(frames)
     indexed = [f.quantize(palette=palette, dither=Image.Dither.NONE) for f in frames]
-    durations = [round(1000 / fps)] * (len(steps) - 1) + [1500]  # the end stands still for a moment
+    hold = round(1000 * _HOLD)  # the end stands still for a moment
+    durations = [round(1000 / fps)] * (len(steps) - 1) + [hold]
     path = Path(path)
     indexed[0].save(path, "GIF", save_all=True, append_images=indexed[1:], duration=durations, loop=0, disposal=1)
+    return path
+
+
+def write_mp4(record: TwinRecord, path: str | Path, fps: float = 12, panel: int = 288) -> Path:
+    """Write the episode as a film, every step a frame (H.264, which browsers play); returns its path.
+
+    Args:
+        record: the episode.
+        path: file to write.
+        fps: frames per second.
+        panel: side of each of the three views, pixels.
+
+    Raises:
+        PwmGymError: the rate is not positive, or imageio-ffmpeg is not installed.
+    """
+    if not fps > 0:
+        raise PwmGymError(f"fps={fps}; expected a positive rate")
+    try:
+        import imageio_ffmpeg
+    except ModuleNotFoundError as error:
+        raise PwmGymError(f"{error}; a film needs imageio-ffmpeg: pip install 'pwm-gym[video]'") from error
+
+    figure = _Figure(record, panel)
+    size = (figure.width + figure.width % 2, figure.height + figure.height % 2)  # the codec's are even
+    path = Path(path)
+    writer = imageio_ffmpeg.write_frames(str(path), size, fps=fps, macro_block_size=2, ffmpeg_log_level="error")
+    writer.send(None)
+    for t in range(record.steps):
+        frame = Image.new("RGB", size, _PAPER)
+        frame.paste(figure.frame(t))
+        held = round(_HOLD * fps) if t == record.steps - 1 else 0
+        for _ in range(1 + held):
+            writer.send(frame.tobytes())
+    writer.close()
     return path
 
 
@@ -165,15 +202,11 @@ class _Figure:
         self.width = 2 * _MARGIN + 3 * panel + 2 * _GAP
         self.top = _HEADER + _CAPTION
         below = self.top + panel + _GAP
-        self.still = Image.new("RGB", (self.width, below + _CHART + 8), _PAPER)
+        self.height = below + _CHART + 8
+        self.still = Image.new("RGB", (self.width, self.height), _PAPER)
         self._captions()
-        self.charts = _charts(record, _MARGIN, below, self.width - _MARGIN)
-        strong = self.still.copy()
-        for chart in self.charts:
-            drawn = chart.draw(self.still)
-            area = (chart.plot[0] - 6, chart.plot[1] - 6, chart.plot[2] + 6, chart.plot[3] + 6)
-            strong.paste(drawn.crop(area), area[:2])
-        self.strong = strong
+        self.below = below
+        self.charts = timeline(record, self.width - 2 * _MARGIN, _CHART).frames()
 
     def frame(self, t: int) -> Image.Image:
         """The figure at step ``t``."""
@@ -184,8 +217,7 @@ class _Figure:
         for i in range(3):
             view = self.views.draw(i, t)
             image.paste(view, (_MARGIN + i * (self.panel + _GAP), self.top), _rounded(self.panel))
-        for chart in self.charts:
-            chart.reveal(image, self.strong, t)
+        image.paste(self.charts.at(t), (_MARGIN, self.below))
         return image
 
     def _captions(self) -> None:
@@ -196,7 +228,7 @@ class _Figure:
             for color in colors:
                 swatch(self.still, (left, row), color, 13)
                 left += 17
-            text(self.still, (left + 3, row), _TITLES[i], 15)
+            text(self.still, (left + 3, row), TITLES[i], 15)
         if self.record.goal is not None:
             end = self.width - _MARGIN
             used = text(self.still, (end, self.top - 16), "goal", 13, MUTED, "rm")
@@ -233,21 +265,15 @@ def _heading(image: Image.Image, record: TwinRecord) -> None:
     text(image, (_MARGIN, 52), fit(record.subtitle, 14, width - 150), 14, MUTED)
 
 
-def _charts(record: TwinRecord, left: int, top: int, right: int) -> list[Chart]:
-    """The error's chart and, where both rewards are known, the rewards' beside it."""
-    error = Curve("", 1000 * np.asarray(record.error, dtype=np.float64), INK)
-    title = "Chamfer distance (mm)"
-    if record.predicted_reward is None or record.true_reward is None:
-        return [Chart((left, top, right, top + _CHART), title, [error], from_zero=True, unit="mm")]
-    middle = (left + right) // 2
-    rewards = [
-        Curve("true", np.asarray(record.true_reward, dtype=np.float64), TRUE),
-        Curve("predicted", np.asarray(record.predicted_reward, dtype=np.float64), PREDICTED),
-    ]
-    return [
-        Chart((left, top, middle - _GAP, top + _CHART), title, [error], from_zero=True, unit="mm"),
-        Chart((middle + _GAP, top, right, top + _CHART), "Reward", rewards),
-    ]
+def timeline(record: TwinRecord, width: int, height: int) -> Timeline:
+    """The error's chart and, where both rewards are known, the rewards' beside it, so many pixels in all."""
+    error = Curve("error", 1000 * np.asarray(record.error, dtype=np.float64), INK)
+    panels = [Panel("Chamfer distance (mm)", (error,), unit="mm", from_zero=True)]
+    if record.predicted_reward is not None and record.true_reward is not None:
+        true = Curve("true", np.asarray(record.true_reward, dtype=np.float64), TRUE)
+        predicted = Curve("predicted", np.asarray(record.predicted_reward, dtype=np.float64), PREDICTED)
+        panels.append(Panel("Reward", (true, predicted)))
+    return Timeline(panels, width, height)
 
 
 def _rounded(size: int, radius: int = 10) -> Image.Image:
@@ -268,7 +294,7 @@ def _contact_sheet(record: TwinRecord, steps: list[int], panel: int) -> Image.Im
     views, mask = Views(record, panel), _rounded(panel)
     for row in range(3):
         label = Image.new("RGB", (panel, 24), _PAPER)
-        text(label, (panel / 2, 12), _TITLES[row], 14, INK, "mm")
+        text(label, (panel / 2, 12), TITLES[row], 14, INK, "mm")
         image.paste(label.rotate(90, expand=True), (_MARGIN, top + row * (panel + gap)))
         for column, t in enumerate(steps):
             place = (left + column * (panel + gap), top + row * (panel + gap))
@@ -276,19 +302,8 @@ def _contact_sheet(record: TwinRecord, steps: list[int], panel: int) -> Image.Im
     for column, t in enumerate(steps):
         told = f"step {t}: {record.stages[t]}" if record.stages else f"step {t}"
         text(image, (left + column * (panel + gap) + panel / 2, top - 14), fit(told, 14, panel), 14, MUTED, "mm")
-    for chart in _charts(record, left, below, width - _MARGIN):
-        _marked(image, chart, steps)
+    image.paste(timeline(record, width - left - _MARGIN, _CHART).marked(steps), (left, below))
     return image
-
-
-def _marked(image: Image.Image, chart: Chart, steps: list[int]) -> None:
-    """The whole chart, with a line and dots at ``steps``."""
-    image.paste(chart.draw(image))
-    draw = ImageDraw.Draw(image)
-    for t in steps:
-        column = round(chart.x(t))
-        draw.line((column, chart.plot[1], column, chart.plot[3]), fill=AXIS)
-        chart.mark(image, t)
 
 
 def _shared_palette(frames: list[Image.Image]) -> Image.Image:

@@ -1,12 +1,14 @@
+import sys
 from dataclasses import replace
 
+import imageio_ffmpeg
 import numpy as np
 import pytest
 from PIL import Image
 
 from pwm_gym.errors import PwmGymError
-from pwm_gym.viewer import draw_overlays, twin_frame, write_gif, write_png
-from pwm_gym.viewer.chart import fit, nice_ticks
+from pwm_gym.viewer import draw_overlays, twin_frame, write_gif, write_mp4, write_png
+from pwm_gym.viewer.labels import fit
 
 
 def test_frame_is_an_image_and_deterministic(record):
@@ -85,14 +87,6 @@ def test_bad_arguments(record, tmp_path):
         write_gif(record, tmp_path / "twin.gif", fps=0)
 
 
-@pytest.mark.parametrize(("low", "high"), [(0, 1), (0, 17.3), (-1.77, 0.1), (0, 1e-6), (3.0, 3.0)])
-def test_ticks_enclose_the_values(low, high):
-    ticks = nice_ticks(low, high)
-    assert ticks[0] <= low + 1e-12
-    assert ticks[-1] >= high - 1e-12
-    assert 2 <= len(ticks) <= 7
-
-
 def test_long_text_is_shortened():
     assert fit("short", 14, 200) == "short"
     assert fit("a very long heading indeed", 14, 60).endswith("...")
@@ -110,3 +104,26 @@ def test_stages_are_written_beside_the_step(record, tmp_path):
     assert not np.array_equal(*map(np.asarray, one))
     with pytest.raises(PwmGymError, match="2 stages; expected one for each of 10 steps"):
         replace(record, stages=("open", "close"))
+
+
+def test_a_film_has_every_step_and_holds_the_last(record, tmp_path):
+    some = {k: getattr(record, k)[:4] for k in ("predicted", "true", "error", "predicted_reward", "true_reward")}
+    record = replace(record, **some)
+    path = write_mp4(record, tmp_path / "twin.mp4", fps=10, panel=201)
+    frames = imageio_ffmpeg.read_frames(str(path))
+    about = next(frames)
+    assert about["fps"] == 10 and about["codec"] == "h264"
+    width, height = about["size"]
+    films = [np.frombuffer(f, np.uint8).reshape(height, width, 3).astype(float) for f in frames]
+    assert len(films) == 4 + 15
+    shown = twin_frame(record, 3, panel=201)
+    assert (height, width) == (shown.shape[0] + shown.shape[0] % 2, shown.shape[1] + shown.shape[1] % 2)
+    assert np.abs(films[-1][: len(shown), : shown.shape[1]] - shown).mean() < 3 < np.abs(films[0] - films[3]).max()
+    with pytest.raises(PwmGymError, match="fps=-1; expected a positive rate"):
+        write_mp4(record, path, fps=-1)
+
+
+def test_a_film_without_its_writer_is_named(record, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
+    with pytest.raises(PwmGymError, match=r"pip install 'pwm-gym\[video\]'"):
+        write_mp4(record, tmp_path / "twin.mp4")
