@@ -11,6 +11,7 @@ from pwm_gym.commands.bench import Bench
 from pwm_gym.commands.check_cost import CheckCost
 from pwm_gym.commands.collect import Collect
 from pwm_gym.commands.complete import Complete
+from pwm_gym.commands.data import Data
 from pwm_gym.commands.demo import Demo
 from pwm_gym.commands.envs import Envs
 from pwm_gym.commands.evaluate import Evaluate
@@ -28,6 +29,7 @@ Command = (
     Annotated[Demo, tyro.conf.subcommand("demo")]
     | Annotated[Envs, tyro.conf.subcommand("envs")]
     | Annotated[Collect, tyro.conf.subcommand("collect")]
+    | Annotated[Data, tyro.conf.subcommand("data")]
     | Annotated[Train, tyro.conf.subcommand("train")]
     | Annotated[TrainAgent, tyro.conf.subcommand("train-agent")]
     | Annotated[Complete, tyro.conf.subcommand("complete")]

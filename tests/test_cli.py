@@ -20,6 +20,7 @@ COMMANDS = (
     "plan",
     "view",
     "bench",
+    "data",
     "check-cost",
     "publish",
     "assets",
@@ -50,7 +51,7 @@ def test_every_command_explains_itself(command, capsys):
     help_text = capsys.readouterr().out
     assert f"usage: pwm-gym {command}" in help_text
     assert (
-        command in ("envs", "view", "complete", "publish", "assets")
+        command in ("envs", "data", "view", "complete", "publish", "assets")
         or "--task" in help_text
         or "COST" in help_text.upper()
     )

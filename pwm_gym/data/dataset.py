@@ -16,7 +16,17 @@ from pwm_gym.files import load_arrays, save_arrays
 from pwm_gym.scene import SCHEMA, Layout, Scene
 from pwm_gym.schema import read_json
 
-__all__ = ["FORMAT", "SPLITS", "Dataset", "Header", "asset_path", "load_split", "read_header", "save_asset"]
+__all__ = [
+    "FORMAT",
+    "SPLITS",
+    "Dataset",
+    "Header",
+    "asset_path",
+    "load_split",
+    "read_header",
+    "save_asset",
+    "stored_splits",
+]
 
 SPLITS = ("train", "validation", "test")
 FORMAT = "pwm_gym.dataset"
@@ -145,6 +155,11 @@ def save_asset(folder: Path, name: str, cloud: np.ndarray) -> None:
     """Write an asset's canonical points (n, 3), unless they are there already."""
     if not (path := asset_path(folder, name)).exists():
         save_arrays(path, {"points": np.asarray(cloud, np.float32)})
+
+
+def stored_splits(folder: Path) -> tuple[str, ...]:
+    """The splits that have episodes in a data set's folder."""
+    return tuple(split for split in SPLITS if any(Path(folder).glob(f"{split}-*.npz")))
 
 
 def load_split(folder: Path | str, split: str, task: str | None = None) -> Dataset:
