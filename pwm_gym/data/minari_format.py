@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import copy
 import json
-import os
 import shutil
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
@@ -21,11 +20,11 @@ import gymnasium as gym
 import numpy as np
 
 from pwm_gym.data.dataset import FORMAT as DATASET
-from pwm_gym.data.dataset import SPLITS, Dataset, load_split, read_header, save_asset, stored_splits
+from pwm_gym.data.dataset import SPLITS, Dataset, load_split, load_splits, read_header, save_asset
 from pwm_gym.data.episodes import FORMAT as EPISODES
 from pwm_gym.data.episodes import KINDS, Episode, write_shard
 from pwm_gym.errors import DatasetError
-from pwm_gym.files import load_arrays, save_arrays, write_atomically
+from pwm_gym.files import load_arrays, new_folder, save_arrays, write_atomically
 from pwm_gym.scene import SCHEMA, Layout
 from pwm_gym.tasks import get_task
 
@@ -55,7 +54,7 @@ class _Header:
     """Names (E,) of the assets that an episode's number of a combination stands for."""
 
 
-def export_minari(folder: Path | str, dataset_id: str, splits: Sequence[str] = ()) -> Any:
+def export_minari(folder: Path | str, dataset_id: str, splits: Sequence[str] = (), kinds: Sequence[str] = ()) -> Any:
     """Create the Minari data set ``dataset_id`` of the episodes in a data set's folder.
 
     ``infos["split"]`` is an episode's place in :data:`~pwm_gym.data.dataset.SPLITS`, ``infos["kind"]`` its place in
@@ -66,17 +65,17 @@ def export_minari(folder: Path | str, dataset_id: str, splits: Sequence[str] = (
         dataset_id: Minari's name, such as ``"pwm/PickCube/collected-v0"``; Minari says where it stores it
             (``MINARI_DATASETS_PATH``).
         splits: splits to export; none given takes all that there are.
+        kinds: kinds of episodes to export; none given takes all.
 
     Returns:
         The ``minari.MinariDataset``.
 
     Raises:
-        DatasetError: no data set is there, Minari has one of this name already, or the name is none of Minari's form.
+        DatasetError: no data set is there, none of its episodes is asked for, Minari has one of this name already, or
+            the name is none of Minari's form.
     """
     header = read_header(Path(folder))
-    sources = {split: load_split(folder, split) for split in splits or stored_splits(Path(folder))}
-    if not sources:
-        raise DatasetError(f"{folder} has no episodes yet")
+    sources = load_splits(Path(folder), splits, kinds)
     place = _place(dataset_id)
     if place.exists():
         raise DatasetError(f"Minari has a data set {dataset_id!r} already ({place}); expected a new name or version")
@@ -203,25 +202,15 @@ def import_minari(
     Raises:
         DatasetError: it is not there, foreign, damaged, of another task, schema or action size, or ``folder`` is taken.
     """
-    folder = Path(folder)
-    if folder.exists() and any(folder.iterdir()):
-        raise DatasetError(f"{folder} holds files already; expected a new folder")
-    source = _load(dataset_id, download)
-    path = _place(dataset_id) / "data" / SIDE_FILE
-    clouds, header = _read_side_file(path, dataset_id)
-    layout = _check(source, dataset_id, header, task)
-    temporary = folder.with_name(f".{folder.name}.{os.getpid()}")
-    try:
+    with new_folder(Path(folder), DatasetError) as root:
+        source = _load(dataset_id, download)
+        clouds, header = _read_side_file(_place(dataset_id) / "data" / SIDE_FILE, dataset_id)
+        layout = _check(source, dataset_id, header, task)
         by_split = _episodes(source, dataset_id, layout, header, progress)
-        _write_folder(temporary, by_split, clouds, {**header.settings, "imported": dataset_id}, layout)
+        _write_folder(root, by_split, clouds, {**header.settings, "imported": dataset_id}, layout)
         for split in by_split:
-            load_split(temporary, split)  # what does not fit is found here, not in a training
-        if folder.exists():
-            folder.rmdir()
-        temporary.rename(folder)
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
-    return folder
+            load_split(root, split)  # what does not fit is found here, not in a training
+    return Path(folder)
 
 
 def _load(dataset_id: str, download: bool) -> Any:

@@ -136,7 +136,7 @@ def test_names_that_cannot_be_or_are_taken_are_refused(folder):
 
 def test_a_folder_that_is_taken_is_refused(folder):
     export_minari(folder, ID)
-    assert refused(ID, folder) == f"{folder} holds files already; expected a new folder"
+    assert refused(ID, folder) == f"{folder} holds something already; expected a new folder"
     assert_same(folder, folder, "train")
 
 
