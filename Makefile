@@ -2,7 +2,7 @@
 VENV ?= .venv
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 BIN = $(abspath $(VENV))/bin
-SOURCES = $(shell find pwm_gym envs wrappers -type f -not -name '*.pyc')
+SOURCES = pwm_gym_cli.py $(shell find pwm_gym envs wrappers -type f -not -name '*.pyc')
 export OMP_NUM_THREADS ?= 2
 TASK ?= PickCube# of `make demo`
 
@@ -30,7 +30,7 @@ demo: $(VENV)/.package
 lint: $(VENV)/.package
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	cd tests && $(BIN)/mypy --config-file ../pyproject.toml -p pwm_gym
+	cd tests && $(BIN)/mypy --config-file ../pyproject.toml -p pwm_gym -m pwm_gym_cli
 
 test: lint
 	$(BIN)/pytest -n 2 --dist loadfile

@@ -18,21 +18,30 @@ from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
-from pwm_gym.errors import PwmGymError
+from pwm_gym.errors import PwmGymError, writing
 from pwm_gym.schema import decode
 
 __all__ = ["NoHeader", "check_finite", "load_arrays", "new_folder", "save_arrays", "write_atomically"]
 
 
 def write_atomically(path: Path, content: bytes) -> None:
-    """Write ``path`` so that it either holds all of ``content`` or is left as it was."""
-    path.parent.mkdir(parents=True, exist_ok=True)
+    """Write ``path`` so that it either holds all of ``content`` or is left as it was.
+
+    Raises:
+        WriteError: the disk is full, or the folder may not be written to.
+    """
     temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    with temporary.open("wb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
-    temporary.replace(path)
+    with writing(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            with temporary.open("wb") as file:
+                file.write(content)
+                file.flush()
+                os.fsync(file.fileno())
+            temporary.replace(path)
+        except OSError:
+            temporary.unlink(missing_ok=True)
+            raise
 
 
 @contextmanager
@@ -42,16 +51,20 @@ def new_folder(folder: Path, error: type[PwmGymError]) -> Iterator[Path]:
     Args:
         folder: where it will be; an empty folder is replaced.
         error: raised where ``folder`` holds something.
+
+    Raises:
+        WriteError: something in it cannot be written.
     """
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise error(f"{folder} holds something already; expected a new folder")
     temporary = folder.with_name(f".{folder.name}.{os.getpid()}")
     try:
-        temporary.mkdir(parents=True)
-        yield temporary
-        if folder.exists():
-            folder.rmdir()
-        temporary.rename(folder)
+        with writing(folder):
+            temporary.mkdir(parents=True)
+            yield temporary
+            if folder.exists():
+                folder.rmdir()
+            temporary.rename(folder)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
 
