@@ -6,7 +6,7 @@ SOURCES = pwm_gym_cli.py $(shell find pwm_gym envs wrappers -type f -not -name '
 export OMP_NUM_THREADS ?= 2
 TASK ?= PickCube# of `make demo`
 
-.PHONY: demo test test-all lint install clean
+.PHONY: demo test test-all coverage lint install clean
 
 install: $(VENV)/.package
 
@@ -37,6 +37,10 @@ test: lint
 
 test-all: lint
 	$(BIN)/pytest -n 2 --dist loadfile -m 'slow or not slow'
+
+# Which lines the tests run; not a part of `make test`, which it would slow down.
+coverage: $(VENV)/.package
+	$(BIN)/pytest -n 2 --dist loadfile --cov=pwm_gym --cov-report=term --cov-report=xml
 
 clean:
 	rm -rf $(VENV) build *.egg-info demo .mypy_cache .ruff_cache .pytest_cache

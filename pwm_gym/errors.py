@@ -62,11 +62,12 @@ def writing(path: Path, *also: type[Exception]) -> Iterator[None]:
     Raises:
         WriteError: in the place of all of these.
     """
+    caught: tuple[type[Exception], ...] = (OSError, *also)
     try:
         yield
     except WriteError:
         raise
-    except (OSError, *also) as cause:
+    except caught as cause:
         told = getattr(cause, "strerror", None) or cause
         raise WriteError(f"{path} cannot be written ({told})") from cause
 
