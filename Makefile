@@ -2,11 +2,11 @@
 VENV ?= .venv
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 BIN = $(abspath $(VENV))/bin
-SOURCES = $(shell find pwm_gym envs wrappers -type f -not -name '*.pyc')
+SOURCES = pwm_gym_cli.py $(shell find pwm_gym envs wrappers -type f -not -name '*.pyc')
 export OMP_NUM_THREADS ?= 2
 TASK ?= PickCube# of `make demo`
 
-.PHONY: demo test test-all lint install clean
+.PHONY: demo test test-all coverage lint install clean
 
 install: $(VENV)/.package
 
@@ -30,13 +30,17 @@ demo: $(VENV)/.package
 lint: $(VENV)/.package
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	cd tests && $(BIN)/mypy --config-file ../pyproject.toml -p pwm_gym
+	cd tests && $(BIN)/mypy --config-file ../pyproject.toml -p pwm_gym -m pwm_gym_cli
 
 test: lint
 	$(BIN)/pytest -n 2 --dist loadfile
 
 test-all: lint
 	$(BIN)/pytest -n 2 --dist loadfile -m 'slow or not slow'
+
+# Which lines the tests run; not a part of `make test`, which it would slow down.
+coverage: $(VENV)/.package
+	$(BIN)/pytest -n 2 --dist loadfile --cov=pwm_gym --cov-report=term --cov-report=xml
 
 clean:
 	rm -rf $(VENV) build *.egg-info demo .mypy_cache .ruff_cache .pytest_cache

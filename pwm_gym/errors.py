@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import difflib
 import operator
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
 from typing import Any, TypeVar
 
 __all__ = [
@@ -13,10 +15,12 @@ __all__ = [
     "PwmGymError",
     "SceneError",
     "UnknownNameError",
+    "WriteError",
     "check_seed",
     "check_whole",
     "look_up",
     "unknown_name",
+    "writing",
 ]
 
 
@@ -41,6 +45,31 @@ class DatasetError(PwmGymError):
 
 class UnknownNameError(PwmGymError):
     """A name that no registry holds."""
+
+
+class WriteError(PwmGymError, OSError):
+    """A file cannot be written: the disk is full, or the folder may not be written to."""
+
+
+@contextmanager
+def writing(path: Path, *also: type[Exception]) -> Iterator[None]:
+    """What the system says against writing ``path`` (no space, no permission) as one error that names it.
+
+    Args:
+        path: file or folder.
+        also: what a library raises in the system's place.
+
+    Raises:
+        WriteError: in the place of all of these.
+    """
+    caught: tuple[type[Exception], ...] = (OSError, *also)
+    try:
+        yield
+    except WriteError:
+        raise
+    except caught as cause:
+        told = getattr(cause, "strerror", None) or cause
+        raise WriteError(f"{path} cannot be written ({told})") from cause
 
 
 def unknown_name(kind: str, name: Any, known: Iterable[str]) -> UnknownNameError:

@@ -5,32 +5,68 @@ from __future__ import annotations
 import io
 import json
 import os
+import shutil
 import struct
 import tokenize
 import zipfile
 import zlib
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
-from pwm_gym.errors import PwmGymError
+from pwm_gym.errors import PwmGymError, writing
 from pwm_gym.schema import decode
 
-__all__ = ["NoHeader", "check_finite", "load_arrays", "save_arrays", "write_atomically"]
+__all__ = ["NoHeader", "check_finite", "load_arrays", "new_folder", "save_arrays", "write_atomically"]
 
 
 def write_atomically(path: Path, content: bytes) -> None:
-    """Write ``path`` so that it either holds all of ``content`` or is left as it was."""
-    path.parent.mkdir(parents=True, exist_ok=True)
+    """Write ``path`` so that it either holds all of ``content`` or is left as it was.
+
+    Raises:
+        WriteError: the disk is full, or the folder may not be written to.
+    """
     temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    with temporary.open("wb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
-    temporary.replace(path)
+    with writing(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            with temporary.open("wb") as file:
+                file.write(content)
+                file.flush()
+                os.fsync(file.fileno())
+            temporary.replace(path)
+        except OSError:
+            temporary.unlink(missing_ok=True)
+            raise
+
+
+@contextmanager
+def new_folder(folder: Path, error: type[PwmGymError]) -> Iterator[Path]:
+    """A folder to fill, which becomes ``folder`` at the end, so that there is all of it or nothing.
+
+    Args:
+        folder: where it will be; an empty folder is replaced.
+        error: raised where ``folder`` holds something.
+
+    Raises:
+        WriteError: something in it cannot be written.
+    """
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise error(f"{folder} holds something already; expected a new folder")
+    temporary = folder.with_name(f".{folder.name}.{os.getpid()}")
+    try:
+        with writing(folder):
+            temporary.mkdir(parents=True)
+            yield temporary
+            if folder.exists():
+                folder.rmdir()
+            temporary.rename(folder)
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
 
 
 def save_arrays(path: str | Path, arrays: Mapping[str, np.ndarray], header: Mapping[str, Any] | None = None) -> None:

@@ -1,29 +1,20 @@
 import json
+import re
 import shutil
+import subprocess
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 from PIL import Image
 
+import pwm_gym
 from pwm_gym.cli import main
 from pwm_gym.data.episodes import read_shard, write_shard
 from pwm_gym.planning import Run
 from pwm_gym.tasks import TASKS
-
-COMMANDS = (
-    "demo",
-    "envs",
-    "collect",
-    "train",
-    "complete",
-    "evaluate",
-    "plan",
-    "view",
-    "bench",
-    "check-cost",
-    "publish",
-    "assets",
-)
+from pwm_gym_cli import COMMANDS
 
 
 def failure(*args) -> str:
@@ -50,17 +41,58 @@ def test_every_command_explains_itself(command, capsys):
     help_text = capsys.readouterr().out
     assert f"usage: pwm-gym {command}" in help_text
     assert (
-        command in ("envs", "view", "complete", "publish", "assets")
+        command in ("envs", "data", "view", "complete", "scenes", "publish", "assets")
         or "--task" in help_text
         or "COST" in help_text.upper()
     )
 
 
-def test_help_lists_every_command(capsys):
-    with pytest.raises(SystemExit):
+def test_help_lists_every_command_and_says_what_it_does(capsys):
+    with pytest.raises(SystemExit) as end:
         main(["--help"])
+    assert end.value.code == 0
     text = capsys.readouterr().out
-    assert [c for c in COMMANDS if c not in text] == []
+    told = dict(re.findall(r"^  ([a-z-]+) +([A-Z].*)$", text, re.M))
+    assert tuple(told) == COMMANDS and told["envs"] == "List the registered environments."
+
+
+def test_every_command_is_listed():
+    modules = Path(pwm_gym.__file__).parent.glob("commands/*.py")
+    runnable = {path.stem for path in modules if path.read_text().startswith('"""``pwm-gym ')}
+    assert runnable == {name.replace("-", "_") for name in COMMANDS}
+
+
+@pytest.mark.parametrize(("flag", "told"), [("--help", "usage: pwm-gym"), ("--version", pwm_gym.__version__)])
+def test_help_and_version_import_neither_the_package_nor_torch(flag, told):
+    code = f"""
+import sys, pwm_gym_cli
+try:
+    pwm_gym_cli.main(["{flag}"])
+finally:
+    print(sorted({{"pwm_gym", "torch", "gymnasium", "numpy", "tyro"}} & sys.modules.keys()))
+"""
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert told in run.stdout and run.stdout.endswith("[]\n"), run.stderr
+
+
+def test_without_a_command_help_goes_to_the_other_stream(capsys):
+    with pytest.raises(SystemExit) as end:
+        main([])
+    assert end.value.code == 2 and "usage: pwm-gym" in capsys.readouterr().err
+
+
+def test_an_unknown_command_lists_the_known_ones():
+    assert failure("trian").endswith("assets. Did you mean 'train'?")
+
+
+@pytest.mark.parametrize(("command", "groups"), [("train", ("fit", "training")), ("complete", ("objects", "training"))])
+def test_long_lists_of_options_are_grouped(command, groups, capsys):
+    with pytest.raises(SystemExit):
+        main([command, "--help"])
+    text = capsys.readouterr().out
+    for group in groups:
+        assert f"{group} options" in text
+    assert "--training." not in text
 
 
 @pytest.mark.parametrize(
@@ -73,7 +105,9 @@ def test_help_lists_every_command(capsys):
         (["view", "nothing.npz"], "nothing.npz"),
         (["plan", "--seeds", "plan_tst"], "unknown range of seeds 'plan_tst'; known: plan_test, plan_validation, "),
         (["train", "--data", "nowhere", "--out"], "nowhere is not a data set"),
-        (["evaluate", "--data", "nowhere"], "nowhere is not a data set"),
+        (["evaluate", "--data", "nowhere"], "it has no dataset.json (`pwm-gym collect` makes one)"),
+        (["data", "export", "--data", "nowhere"], "nowhere is not a data set"),
+        (["data", "import", "pwm/none-v0", "--out"], "Minari has no data set 'pwm/none-v0' on this machine"),
         (["evaluate", "--task", "Pick", "--data", "nowhere"], "unknown task 'Pick'"),
         (["check-cost", "--cost", "pick_cubes"], "unknown cost 'pick_cubes'; known: "),
         (["plan", "--cost", "pick_cubes"], "unknown cost 'pick_cubes'; known: "),
@@ -104,6 +138,7 @@ def test_help_lists_every_command(capsys):
 )
 def test_errors_about_input_are_one_line(args, message, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
     if args[-1] == "--out":
         args = [*args, tmp_path / "out"]
     assert message in failure(*args)

@@ -53,6 +53,17 @@ def test_a_cost_of_ones_own_rewards_environments_and_batches(kept_registries):
     assert names["many"].unwrapped.rules.cost.name == "reach_cube"
 
 
+def test_data_go_to_other_libraries_and_come_back(monkeypatch, tmp_path):
+    pytest.importorskip("pyarrow")
+    pytest.importorskip("torchrl")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "minari"))
+    names = run_page("docs/data.md")
+    assert names["dataset"].total_episodes == 4 and names["twin"].spec.id == "pwm/PickCubeSim-v0"
+    assert (names["copy"] / "dataset.json").exists() and (names["out"] / "meta" / "info.json").exists()
+    assert names["found"].shape == (1, 4) and names["rolled"].shape == (4, 2)
+
+
 def test_a_mujoco_model_of_ones_own_is_a_simulator():
     names = run_page("docs/mujoco.md")
     assert names["simulator"].assets() == ("pusher", "box")

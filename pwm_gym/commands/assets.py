@@ -77,9 +77,17 @@ class Liftable:
         print(", ".join(f"{key.replace('_', ' ')} {value}" for key, value in record["summary"].items()))
 
 
-Assets = (
-    Annotated[Ycb, tyro.conf.subcommand("ycb")]
-    | Annotated[Shapes, tyro.conf.subcommand("shapes")]
-    | Annotated[Liftable, tyro.conf.subcommand("liftable")]
-)
-"""Subcommands of ``pwm-gym assets``."""
+@dataclass(frozen=True)
+class Assets:
+    """Make and measure assets: YCB's meshes, generated shapes, and which objects can be lifted."""
+
+    action: Annotated[
+        Annotated[Ycb, tyro.conf.subcommand("ycb")]
+        | Annotated[Shapes, tyro.conf.subcommand("shapes")]
+        | Annotated[Liftable, tyro.conf.subcommand("liftable")],
+        tyro.conf.arg(name=""),
+    ]
+
+    def run(self) -> None:
+        """Do what is asked for."""
+        self.action.run()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import tyro
 
@@ -48,8 +48,8 @@ class Complete:
     """Folder for galleries (PNG) of evaluated objects and of the worst of their views, or of ``--mesh``."""
     json: Path | None = None
     """Where to write the results of the evaluation."""
-    objects: Annotated[ObjectSet, tyro.conf.arg(name="")] = field(default_factory=ObjectSet)
-    training: Annotated[CompletionTrainConfig, tyro.conf.arg(name="")] = field(default_factory=CompletionTrainConfig)
+    objects: tyro.conf.OmitArgPrefixes[ObjectSet] = field(default_factory=ObjectSet)
+    training: tyro.conf.OmitArgPrefixes[CompletionTrainConfig] = field(default_factory=CompletionTrainConfig)
 
     def run(self) -> None:
         """Do what is asked for, one after the other."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Annotated
 
 import tyro
 
@@ -17,8 +16,8 @@ __all__ = ["Train"]
 class Train:
     """Train a world model on collected episodes; ``torchrun --nproc-per-node 2 -m pwm_gym train`` shares the work."""
 
-    fit: Annotated[FitConfig, tyro.conf.arg(name="")] = field(default_factory=FitConfig)
-    training: Annotated[TrainConfig, tyro.conf.arg(name="")] = field(default_factory=TrainConfig)
+    fit: tyro.conf.OmitArgPrefixes[FitConfig] = field(default_factory=FitConfig)
+    training: tyro.conf.OmitArgPrefixes[TrainConfig] = field(default_factory=TrainConfig)
 
     paper: bool = False
     """Train with the paper's table (H = 15, AdamW 1e-4, StepLR, Huber on velocities in metres) instead; of the options

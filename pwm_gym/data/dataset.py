@@ -16,7 +16,17 @@ from pwm_gym.files import load_arrays, save_arrays
 from pwm_gym.scene import SCHEMA, Layout, Scene
 from pwm_gym.schema import read_json
 
-__all__ = ["FORMAT", "SPLITS", "Dataset", "Header", "asset_path", "load_split", "read_header", "save_asset"]
+__all__ = [
+    "FORMAT",
+    "SPLITS",
+    "Dataset",
+    "Header",
+    "asset_path",
+    "load_split",
+    "load_splits",
+    "read_header",
+    "save_asset",
+]
 
 SPLITS = ("train", "validation", "test")
 FORMAT = "pwm_gym.dataset"
@@ -162,6 +172,29 @@ def load_split(folder: Path | str, split: str, task: str | None = None) -> Datas
         raise DatasetError(f"{folder / 'dataset.json'}: {error}") from error
     episodes = tuple(episode for path in paths for episode in read_shard(path, header.task))
     return Dataset(header.task, layout, _assets(folder, header, layout), episodes)
+
+
+def load_splits(folder: Path, splits: Sequence[str] = (), kinds: Sequence[str] = ()) -> dict[str, Dataset]:
+    """Split -> its episodes, of those splits that have any.
+
+    Args:
+        folder: of the data set.
+        splits: none given takes all that are there.
+        kinds: kinds of episodes (:data:`~pwm_gym.data.KINDS`); none given takes all.
+
+    Raises:
+        DatasetError: no data set is there, or none of these episodes.
+    """
+    read_header(folder)
+    stored = splits or [split for split in SPLITS if any(folder.glob(f"{split}-*.npz"))]
+    found = {split: load_split(folder, split) for split in stored}
+    if kinds:
+        found = {split: dataset.of_kinds(kinds) for split, dataset in found.items()}
+    found = {split: dataset for split, dataset in found.items() if dataset.episodes}
+    if not found:
+        wanted = " of kinds " + ", ".join(kinds) if kinds else ""
+        raise DatasetError(f"{folder} has no episodes{wanted} in {', '.join(stored) or 'any split'}")
+    return found
 
 
 def _assets(folder: Path, header: Header, layout: Layout) -> dict[str, np.ndarray]:

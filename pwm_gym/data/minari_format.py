@@ -1,111 +1,310 @@
 """Export to and import from Minari, Farama's format of offline data sets.
 
 Observations are entity poses, joints and the goal, not points: with the canonical clouds they give the points, and a
-data set stays small.
+data set stays small. What Minari has no place for (canonical clouds, layout, names of assets, how it was collected)
+lies in one file beside its own, so that an import gives back the data set that was exported.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import copy
+import json
+import shutil
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 
-from pwm_gym.data.dataset import Dataset
-from pwm_gym.data.episodes import KINDS, Episode
+from pwm_gym.data.dataset import FORMAT as DATASET
+from pwm_gym.data.dataset import SPLITS, Dataset, load_split, load_splits, read_header, save_asset
+from pwm_gym.data.episodes import FORMAT as EPISODES
+from pwm_gym.data.episodes import KINDS, Episode, write_shard
 from pwm_gym.errors import DatasetError
+from pwm_gym.files import load_arrays, new_folder, save_arrays, write_atomically
+from pwm_gym.scene import SCHEMA, Layout
 from pwm_gym.tasks import get_task
 
-__all__ = ["export_minari", "import_minari"]
+__all__ = ["FORMAT", "SIDE_FILE", "export_minari", "import_minari"]
+
+FORMAT = "pwm_gym.minari"
+SIDE_FILE = "pwm_gym.npz"
+"""Name of the file beside Minari's own."""
 
 _SPAN = 1e3  # Minari wants bounded spaces; nothing in a scene comes near
+_SHARD = 100  # episodes a file of an imported data set
+_OBSERVATIONS = ("poses", "joints", "goal")
+_INFOS = ("success", "grasped", "kind", "seed", "switch", "split", "assets")
+_ASSET = "asset-"
+_OWN = -1  # combination of an episode that names no assets: those of the layout
 
 
-def export_minari(dataset: Dataset, dataset_id: str) -> Any:
-    """Create the Minari data set ``dataset_id`` (such as ``"pwm/PickCube/expert-v0"``) of ``dataset``.
+@dataclass(frozen=True)
+class _Header:
+    """What the side file says beside the canonical clouds."""
+
+    format: str
+    schema: int
+    settings: dict[str, Any]
+    layout: Any
+    combinations: list[tuple[str, ...]]
+    """Names (E,) of the assets that an episode's number of a combination stands for."""
+
+
+def export_minari(folder: Path | str, dataset_id: str, splits: Sequence[str] = (), kinds: Sequence[str] = ()) -> Any:
+    """Create the Minari data set ``dataset_id`` of the episodes in a data set's folder.
+
+    ``infos["split"]`` is an episode's place in :data:`~pwm_gym.data.dataset.SPLITS`, ``infos["kind"]`` its place in
+    :data:`~pwm_gym.data.KINDS`; ``recover_environment()`` gives the simulator twin.
 
     Args:
-        dataset: episodes of one split.
-        dataset_id: Minari's name; Minari says where it stores it (``MINARI_DATASETS_PATH``).
+        folder: data set that collection or an import wrote.
+        dataset_id: Minari's name, such as ``"pwm/PickCube/collected-v0"``; Minari says where it stores it
+            (``MINARI_DATASETS_PATH``).
+        splits: splits to export; none given takes all that there are.
+        kinds: kinds of episodes to export; none given takes all.
 
     Returns:
         The ``minari.MinariDataset``.
 
     Raises:
-        DatasetError: objects differ between episodes, which the format has no place for.
+        DatasetError: no data set is there, none of its episodes is asked for, Minari has one of this name already, or
+            the name is none of Minari's form.
     """
-    if len(dataset.combinations) > 1:
-        found = len(dataset.combinations)
-        told = f"the data set has {found} combinations of assets; expected the same objects in all episodes"
-        raise DatasetError(told)
+    header = read_header(Path(folder))
+    sources = load_splits(Path(folder), splits, kinds)
+    place = _place(dataset_id)
+    if place.exists():
+        raise DatasetError(f"Minari has a data set {dataset_id!r} already ({place}); expected a new name or version")
+    try:
+        _write(sources, dataset_id, header.settings)
+        _write_side_file(place / "data" / SIDE_FILE, sources, header.settings)
+    except BaseException:
+        shutil.rmtree(place, ignore_errors=True)  # half of a data set is none
+        raise
+    import minari
+
+    return minari.load_dataset(dataset_id)
+
+
+def _place(dataset_id: str) -> Path:
+    """Folder in which Minari stores a data set of this name.
+
+    Raises:
+        DatasetError: the name is not of Minari's form.
+    """
+    from minari.dataset.minari_dataset import parse_dataset_id
+    from minari.storage.datasets_root_dir import get_dataset_path
+
+    try:
+        parse_dataset_id(dataset_id)
+    except (TypeError, ValueError) as error:
+        told = f"{dataset_id!r} is no name of a Minari data set; expected one such as 'pwm/PickCube/collected-v0'"
+        raise DatasetError(told) from error
+    return Path(get_dataset_path(dataset_id))
+
+
+def _write(sources: Mapping[str, Dataset], dataset_id: str, settings: Mapping[str, Any]) -> None:
+    """Write Minari's own files."""
     import minari
     from minari.data_collector import EpisodeBuffer
 
+    dataset = next(iter(sources.values()))
     task, first = get_task(dataset.task), dataset.episodes[0]
     shapes = {"poses": first.poses.shape[1:], "joints": first.joints.shape[1:], "goal": first.goal.shape}
-    spaces: dict[str, gym.Space[Any]] = {
-        k: gym.spaces.Box(-_SPAN, _SPAN, shape, np.float32) for k, shape in shapes.items()
-    }
-    buffers = [EpisodeBuffer(id=i, seed=e.seed, **_arrays(e)) for i, e in enumerate(dataset.episodes)]
-    return minari.create_dataset_from_buffers(
-        dataset_id,
-        buffers,
-        observation_space=gym.spaces.Dict(spaces),
-        action_space=gym.spaces.Box(-1.0, 1.0, (task.action_size,), np.float32),
-        algorithm_name="scripted expert",
-        description=f"{task.name} of pwm_gym: {task.description} Poses (E, 7) of {', '.join(task.layout.names)}.",
-    )
+    spaces = {name: gym.spaces.Box(-_SPAN, _SPAN, shape, np.float32) for name, shape in shapes.items()}
+    combinations = _combinations(sources)
+    rows = [(split, episode) for split, source in sources.items() for episode in source.episodes]
+    buffers = [
+        EpisodeBuffer(id=i, seed=episode.seed, **_arrays(episode, SPLITS.index(split), combinations))
+        for i, (split, episode) in enumerate(rows)
+    ]
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", module="minari")  # of an author and a link that it would like to have
+        written = minari.create_dataset_from_buffers(
+            dataset_id,
+            buffers,
+            observation_space=gym.spaces.Dict(spaces),
+            action_space=gym.spaces.Box(-1.0, 1.0, (task.action_size,), np.float32),
+            algorithm_name="scripted expert",
+            description=f"{task.name} of pwm_gym: {task.description} Poses of {', '.join(dataset.layout.names)}.",
+            requirements=["pwm-gym"],
+        )
+    spec = copy.deepcopy(gym.spec(f"pwm/{task.name}Sim-v0"))
+    if objects := settings.get("objects"):
+        spec.kwargs["objects"] = objects
+    written.storage.update_metadata({"env_spec": spec.to_json()})  # given earlier, Minari would start the simulator
 
 
-def _arrays(episode: Episode) -> dict[str, Any]:
+def _combinations(sources: Mapping[str, Dataset]) -> list[tuple[str, ...]]:
+    """Every tuple of assets (E,) that some episode names."""
+    named = [episode.assets for source in sources.values() for episode in source.episodes if episode.assets]
+    return list(dict.fromkeys(named))
+
+
+def _arrays(episode: Episode, split: int, combinations: Sequence[tuple[str, ...]]) -> dict[str, Any]:
+    """An episode's values in Minari's form; per-episode ones are repeated at every step."""
     steps = len(episode)
-    goals = np.repeat(episode.goal[None], steps + 1, 0)
-    truncations = [False] * (steps - 1) + [not bool(episode.success[-1])]
-    infos = {
-        "success": np.concatenate([[False], episode.success]),
-        "grasped": np.concatenate([[False], episode.grasped]),
-        "kind": np.full(steps + 1, episode.kind),
-        "seed": np.full(steps + 1, episode.seed),
-        "switch": np.full(steps + 1, episode.switch),
+    ended = bool(episode.success[-1])
+    constant = {
+        "kind": episode.kind,
+        "seed": episode.seed,
+        "switch": episode.switch,
+        "split": split,
+        "assets": combinations.index(episode.assets) if episode.assets else _OWN,
     }
+    infos = {name: np.full(steps + 1, value) for name, value in constant.items()}
+    infos["success"] = np.concatenate([[False], episode.success])
+    infos["grasped"] = np.concatenate([[False], episode.grasped])
     return {
-        "observations": {"poses": episode.poses, "joints": episode.joints, "goal": goals},
+        "observations": {
+            "poses": episode.poses,
+            "joints": episode.joints,
+            "goal": np.repeat(episode.goal[None], steps + 1, 0),
+        },
         "actions": episode.actions,
         "rewards": episode.rewards.tolist(),
-        "terminations": [False] * (steps - 1) + [bool(episode.success[-1])],
-        "truncations": truncations,
+        "terminations": [False] * (steps - 1) + [ended],
+        "truncations": [False] * (steps - 1) + [not ended],
         "infos": infos,
     }
 
 
-def import_minari(dataset_id: str, task: str, assets: Mapping[str, np.ndarray]) -> Dataset:
-    """The episodes of a Minari data set that :func:`export_minari` wrote.
+def _write_side_file(path: Path, sources: Mapping[str, Dataset], settings: Mapping[str, Any]) -> None:
+    """Write the canonical clouds, and what else an import needs."""
+    dataset = next(iter(sources.values()))
+    clouds = {f"{_ASSET}{name}": points for source in sources.values() for name, points in source.assets.items()}
+    header = {
+        "format": FORMAT,
+        "schema": SCHEMA,
+        "settings": dict(settings),
+        "layout": dataset.layout.to_json(),
+        "combinations": _combinations(sources),
+    }
+    save_arrays(path, clouds, header)
+
+
+def import_minari(
+    dataset_id: str, folder: Path | str, task: str | None = None, download: bool = False, progress: bool = False
+) -> Path:
+    """Write the episodes of a Minari data set that :func:`export_minari` made into a folder that training accepts.
 
     Args:
         dataset_id: Minari's name.
-        task: registered task.
-        assets: asset -> canonical points (n, 3), metres.
+        folder: new folder of the data set; it appears when all of it is there.
+        task: registered task that the data must be of; None takes what it is of.
+        download: whether to fetch it from Minari's remote where it is not on this machine.
+        progress: whether to show a bar.
 
     Raises:
-        DatasetError: its observations are not those of an export.
+        DatasetError: it is not there, foreign, damaged, of another task, schema or action size, or ``folder`` is taken.
+    """
+    with new_folder(Path(folder), DatasetError) as root:
+        source = _load(dataset_id, download)
+        clouds, header = _read_side_file(_place(dataset_id) / "data" / SIDE_FILE, dataset_id)
+        layout = _check(source, dataset_id, header, task)
+        by_split = _episodes(source, dataset_id, layout, header, progress)
+        _write_folder(root, by_split, clouds, {**header.settings, "imported": dataset_id}, layout)
+        for split in by_split:
+            load_split(root, split)  # what does not fit is found here, not in a training
+    return Path(folder)
+
+
+def _load(dataset_id: str, download: bool) -> Any:
+    """The Minari data set.
+
+    Raises:
+        DatasetError: Minari does not have it, or cannot read it.
     """
     import minari
 
-    source = minari.load_dataset(dataset_id)
-    space = source.spec.observation_space
-    if not isinstance(space, gym.spaces.Dict) or set(space) != {"poses", "joints", "goal"}:
-        raise DatasetError(f"{dataset_id} has observations {space}; expected a Dict of poses, joints and goal")
-    episodes = tuple(_episode(data) for data in source.iterate_episodes())
-    return Dataset(task, get_task(task).layout, assets, episodes)
+    place = _place(dataset_id)
+    if not download and not (place / "data").is_dir():
+        known = ", ".join(minari.list_local_datasets()) or "none"
+        raise DatasetError(f"Minari has no data set {dataset_id!r} on this machine ({place}); it has {known}")
+    try:
+        return minari.load_dataset(dataset_id, download=download)
+    except Exception as error:  # h5py's, JSON's, the network's: all about this one data set
+        raise DatasetError(f"Minari cannot read {dataset_id!r} ({error})") from error
 
 
-def _episode(data: Any) -> Episode:
-    infos = data.infos
-    kind = int(infos["kind"][0])
-    if not 0 <= kind < len(KINDS):
-        raise DatasetError(f"episode {data.id} has kind {kind}; expected 0 to {len(KINDS) - 1}")
-    return Episode(
+def _read_side_file(path: Path, dataset_id: str) -> tuple[dict[str, np.ndarray], _Header]:
+    """Canonical points of each asset, and the header."""
+    if not path.exists():
+        raise DatasetError(f"{dataset_id!r} has no {SIDE_FILE}; expected a data set that `pwm-gym data export` wrote")
+    arrays, header = load_arrays(path, "is truncated or foreign; export again", DatasetError, FORMAT, _Header)
+    if header.schema > SCHEMA:
+        raise DatasetError(f"{dataset_id!r} has schema {header.schema}; this version reads up to {SCHEMA}")
+    if not isinstance(header.settings.get("task"), str):
+        raise DatasetError(f"{path} names no task in its settings")
+    return {name.removeprefix(_ASSET): points for name, points in arrays.items()}, header
+
+
+def _check(source: Any, dataset_id: str, header: _Header, task: str | None) -> Layout:
+    """Layout of a Minari data set that fits a registered task.
+
+    Raises:
+        DatasetError: it does not.
+    """
+    found = header.settings["task"]
+    if task is not None and found != task:
+        raise DatasetError(f"{dataset_id!r} is a data set of task {found!r}; expected {task!r}")
+    observations, actions = source.spec.observation_space, source.spec.action_space
+    if not isinstance(observations, gym.spaces.Dict) or set(observations) != set(_OBSERVATIONS):
+        raise DatasetError(f"{dataset_id!r} has observations {observations}; expected a Dict of poses, joints and goal")
+    size = get_task(found).action_size
+    if actions.shape != (size,):
+        raise DatasetError(f"{dataset_id!r} has actions of shape {actions.shape}; task {found!r} expects {(size,)}")
+    try:
+        return Layout.from_json(header.layout)
+    except ValueError as error:
+        raise DatasetError(f"{dataset_id!r}: {error}") from error
+
+
+def _episodes(
+    source: Any, dataset_id: str, layout: Layout, header: _Header, progress: bool
+) -> dict[str, list[Episode]]:
+    """Split -> its episodes."""
+    from tqdm import tqdm
+
+    by_split: dict[str, list[Episode]] = {}
+    rows = _read(source, dataset_id)
+    for data in tqdm(rows, total=source.total_episodes, unit="episode", disable=not progress):
+        try:
+            split, episode = _episode(data, header.combinations)
+        except (IndexError, KeyError, TypeError, ValueError) as error:
+            raise DatasetError(f"{dataset_id!r}, episode {data.id}: {error}") from error
+        if episode.poses.shape[1:] != (len(layout), 7):
+            shape = episode.poses.shape
+            raise DatasetError(f"{dataset_id!r}, episode {data.id}: poses {shape}; expected {len(layout)} entities")
+        by_split.setdefault(split, []).append(episode)
+    return by_split
+
+
+def _read(source: Any, dataset_id: str) -> Iterator[Any]:
+    """Episodes in Minari's form.
+
+    Raises:
+        DatasetError: one cannot be read.
+    """
+    try:
+        yield from source.iterate_episodes()
+    except (OSError, KeyError, ValueError, AssertionError) as error:
+        raise DatasetError(f"Minari cannot read {dataset_id!r} ({error})") from error
+
+
+def _episode(data: Any, combinations: Sequence[tuple[str, ...]]) -> tuple[str, Episode]:
+    """Split of an episode in Minari's form, and the episode."""
+    infos = data.infos or {}
+    if missing := [name for name in _INFOS if name not in infos]:
+        raise DatasetError(f"it lacks infos {', '.join(missing)}")
+    kind = _one(infos, "kind", range(len(KINDS)))
+    split = SPLITS[_one(infos, "split", range(len(SPLITS)))]
+    assets = _one(infos, "assets", range(_OWN, len(combinations)))
+    return split, Episode(
         poses=np.asarray(data.observations["poses"], np.float32),
         joints=np.asarray(data.observations["joints"], np.float32),
         actions=np.asarray(data.actions, np.float32),
@@ -116,4 +315,33 @@ def _episode(data: Any) -> Episode:
         kind=kind,
         seed=int(infos["seed"][0]),
         switch=int(infos["switch"][0]),
+        assets=() if assets == _OWN else combinations[assets],
     )
+
+
+def _one(infos: Mapping[str, Any], name: str, known: range) -> int:
+    """A per-episode value, one of ``known``."""
+    value = int(infos[name][0])
+    if value not in known:
+        raise DatasetError(f"{name} {value}; expected {known.start} to {known.stop - 1}")
+    return value
+
+
+def _write_folder(
+    folder: Path,
+    by_split: Mapping[str, Sequence[Episode]],
+    clouds: Mapping[str, np.ndarray],
+    settings: Mapping[str, Any],
+    layout: Layout,
+) -> None:
+    """Write a data set's folder as collection does."""
+    for name, points in clouds.items():
+        save_asset(folder, name, points)
+    shard = {"format": EPISODES, "schema": SCHEMA, "task": settings["task"]}
+    for split, episodes in by_split.items():
+        for start in range(0, len(episodes), _SHARD):
+            path = folder / f"{split}-imported-{start // _SHARD:05d}.npz"
+            write_shard(path, episodes[start : start + _SHARD], shard)
+    header = {"format": DATASET, "schema": SCHEMA, "settings": settings}
+    header |= {"layout": layout.to_json(), "kinds": list(KINDS)}
+    write_atomically(folder / "dataset.json", json.dumps(header).encode())

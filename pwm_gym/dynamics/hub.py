@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from pwm_gym.dynamics.checkpoint import Checkpoint, load_checkpoint, resolve
-from pwm_gym.errors import CheckpointError
+from pwm_gym.errors import CheckpointError, writing
 
 __all__ = ["HUB", "download", "from_pretrained", "model_card", "push_to_hub", "save_pretrained"]
 
@@ -36,12 +36,14 @@ def save_pretrained(checkpoint: Checkpoint | str | Path, folder: str | Path) -> 
     folder = Path(folder)
     if folder.resolve() == found.folder.resolve():
         raise CheckpointError(f"{folder} is the checkpoint's own folder; expected another one")
-    folder.mkdir(parents=True, exist_ok=True)
-    for path in _of_checkpoint(folder):
-        path.unlink()
-    for path in _of_checkpoint(found.folder):
-        shutil.copyfile(path, folder / path.name)
-    (folder / _CARD).write_text(model_card(found))
+    card = model_card(found)
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        for path in _of_checkpoint(folder):
+            path.unlink()
+        for path in _of_checkpoint(found.folder):
+            shutil.copyfile(path, folder / path.name)
+        (folder / _CARD).write_text(card)
     return folder
 
 

@@ -14,6 +14,8 @@ from typing import Any
 
 import torch
 
+from pwm_gym.files import write_atomically
+
 __all__ = ["describe_commit", "describe_machine", "write_results"]
 
 _CODE = (":(top)pwm_gym", ":(top)envs", ":(top)wrappers")  # what decides a result; another result's file does not
@@ -63,8 +65,7 @@ def write_results(path: Path, results: dict[str, Any]) -> None:
         "machine": describe_machine(),
         **results,
     }
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps(record, indent=1, default=float) + "\n")
+    write_atomically(path, (json.dumps(record, indent=1, default=float) + "\n").encode())
 
 
 def _program() -> str:

@@ -18,7 +18,7 @@ import torch.distributed as dist
 from torch import nn
 from tqdm import tqdm
 
-from pwm_gym.errors import CheckpointError, PwmGymError, unknown_name
+from pwm_gym.errors import CheckpointError, PwmGymError, unknown_name, writing
 from pwm_gym.learning.clock import Clock
 from pwm_gym.learning.optimizers import build_optimizer
 
@@ -195,7 +195,8 @@ class _Run:
             model, config.learning_rate, config.weight_decay, muon=config.optimizer == "muon"
         )
         self.ema = {k: v.detach().clone() for k, v in model.state_dict().items()}
-        folder.mkdir(parents=True, exist_ok=True)
+        with writing(folder):
+            folder.mkdir(parents=True, exist_ok=True)
         self._resume()
         self._writer: Any = None
 
@@ -308,9 +309,10 @@ class _Run:
             "step": self.step,
             "spent": self.clock.spent(),
         }
-        temporary = self.folder / f".{_STATE}"
-        torch.save(state, temporary)
-        temporary.replace(self.folder / _STATE)
+        path, temporary = self.folder / _STATE, self.folder / f".{_STATE}"
+        with writing(path, RuntimeError):  # which PyTorch raises on a full disk
+            torch.save(state, temporary)
+            temporary.replace(path)
 
     def finish(self) -> None:
         """Leave the averaged weights in the model and close what is open."""

@@ -15,7 +15,7 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
 
-from pwm_gym.errors import CheckpointError
+from pwm_gym.errors import CheckpointError, writing
 from pwm_gym.schema import convert, read_json
 
 __all__ = ["digest", "load_weights", "read_description", "save_weights"]
@@ -38,15 +38,17 @@ def save_weights(folder: Path, model: nn.Module, description: Mapping[str, Any])
 
     Raises:
         CheckpointError: a weight is not finite; what the folder held stays.
+        WriteError: the disk is full, or the folder may not be written to.
     """
     weights = {k: v.detach().cpu().contiguous() for k, v in model.state_dict().items()}
     _check_finite(weights, model, f"the weights for {folder}")
     text = json.dumps(_without_nan(description), indent=2, allow_nan=False)
-    folder.mkdir(parents=True, exist_ok=True)
-    save_file(weights, folder / f".{_WEIGHTS}")
-    (folder / f".{_DESCRIPTION}").write_text(text)
-    for name in (_WEIGHTS, _DESCRIPTION):
-        (folder / f".{name}").replace(folder / name)
+    with writing(folder, SafetensorError):
+        folder.mkdir(parents=True, exist_ok=True)
+        save_file(weights, folder / f".{_WEIGHTS}")
+        (folder / f".{_DESCRIPTION}").write_text(text)
+        for name in (_WEIGHTS, _DESCRIPTION):
+            (folder / f".{name}").replace(folder / name)
 
 
 def read_description(folder: Path, form: str, schema: int, fields: type, old: str = "") -> dict[str, Any]:

@@ -1,5 +1,6 @@
-"""Our models inside other libraries' planners; those libraries are the extra ``planners``."""
+"""Our models inside other planners: `pytorch_mppi` and `torchrl` (extra "planners"), stable-worldmodel."""
 
 from pwm_gym.planning.adapters.flat import FlatModel
+from pwm_gym.planning.adapters.stable_worldmodel import CostModel
 
-__all__ = ["FlatModel"]
+__all__ = ["CostModel", "FlatModel"]

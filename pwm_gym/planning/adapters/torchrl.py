@@ -24,6 +24,10 @@ __all__ = ["TorchRLEnv", "torchrl_mppi"]
 class TorchRLEnv(EnvBase):
     """Steps ``state`` (..., X) under ``action`` (..., A); the reward is minus the cost. Nothing ends an episode.
 
+    A reset takes a tensordict of the wanted batch size: ``env.reset(TensorDict({}, [64]))``, and
+    ``env.rollout(10, tensordict=TensorDict({}, [64]))`` rolls 64 sequences at once; gradients run through it. An agent,
+    which needs success, time limits and points, takes ``torchrl.envs.GymWrapper`` of ``gym.make``'s environment.
+
     Args:
         flat: the model and the cost.
         start: vector (X,) that a reset gives.
@@ -40,7 +44,9 @@ class TorchRLEnv(EnvBase):
         self.reward_spec = Unbounded((1,), device=start.device)
 
     def _reset(self, tensordict: TensorDictBase | None, **_: Any) -> TensorDict:
-        return TensorDict({"state": self._start.clone()}, [], device=self.device)
+        batch = torch.Size([]) if tensordict is None else tensordict.batch_size
+        start = self._start.expand(*batch, -1).clone()
+        return TensorDict({"state": start}, batch, device=self.device)
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
         action = tensordict["action"]

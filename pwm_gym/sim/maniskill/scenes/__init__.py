@@ -1,9 +1,9 @@
 """ManiSkill tasks of our own. Importing this package loads ManiSkill and registers them there.
 
 Example:
-    >>> import gymnasium as gym
-    >>> import pwm_gym.sim.maniskill.scenes
-    >>> env = gym.make("MugCleanup-v1", obs_mode="state", render_backend="none")
+    >>> import gymnasium as gym  # doctest: +SKIP
+    >>> import pwm_gym.sim.maniskill.scenes  # doctest: +SKIP
+    >>> env = gym.make("MugCleanup-v1", obs_mode="state", render_backend="none")  # doctest: +SKIP
 """
 
 from pwm_gym.sim.maniskill.headless import allow_headless
