@@ -6,7 +6,7 @@ SOURCES = $(shell find pwm_gym envs wrappers -type f -not -name '*.pyc')
 export OMP_NUM_THREADS ?= 2
 TASK ?= PickCube# of `make demo`
 
-.PHONY: demo test test-all lint install clean
+.PHONY: demo test test-all lint docs install clean
 
 install: $(VENV)/.package
 
@@ -19,9 +19,9 @@ $(VENV)/.dependencies: pyproject.toml constraints.txt
 
 # The package itself is installed as a wheel, so that the tests see what a user gets.
 $(VENV)/.package: $(VENV)/.dependencies $(SOURCES) pyproject.toml
-	rm -rf build
+	rm -rf build/lib build/bdist.*
 	$(BIN)/pip install -q --disable-pip-version-check --no-deps --force-reinstall .
-	rm -rf build *.egg-info
+	rm -rf build/lib build/bdist.* *.egg-info
 	touch $@
 
 demo: $(VENV)/.package
@@ -37,6 +37,15 @@ test: lint
 
 test-all: lint
 	$(BIN)/pytest -n 2 --dist loadfile -m 'slow or not slow'
+
+$(VENV)/.docs: $(VENV)/.dependencies
+	$(BIN)/pip install -q --disable-pip-version-check -c constraints.txt '.[docs]'
+	rm -rf build/lib build/bdist.* *.egg-info
+	touch $@
+
+docs: $(VENV)/.docs $(VENV)/.package
+	$(BIN)/sphinx-build -q -W --keep-going -d build/doctrees docs build/docs
+	@echo "open build/docs/index.html"
 
 clean:
 	rm -rf $(VENV) build *.egg-info demo .mypy_cache .ruff_cache .pytest_cache

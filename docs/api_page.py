@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import ast
 import importlib
 import inspect
+import itertools
 from types import ModuleType
 from typing import Any
 
@@ -39,7 +41,14 @@ _FURTHER = (
     "pwm_gym.wrappers.vector",
     "pwm_gym.sim.maniskill",
     "pwm_gym.sim.mujoco",
+    "pwm_gym.sim.cabinet",
+    "pwm_gym.sim.coffee_machine",
+    "pwm_gym.sim.props",
     "pwm_gym.planning.adapters",
+    "pwm_gym.planning.constraints",
+    "pwm_gym.planning.sampling",
+    "pwm_gym.robots.gripper",
+    "pwm_gym.dynamics.registry",
     "pwm_gym.cameras.viewpoints",
     "pwm_gym.scene.se3",
 )
@@ -76,8 +85,10 @@ def api_page(name: str, module: ModuleType) -> str:
     head = f"# {name}\n\n```{{eval-rst}}\n.. py:module:: {name}\n\n{_docstring(module)}\n```\n"
     if name == "pwm_gym":
         return head + "\n" + _names_of_the_top()
+    told = documented_constants(module)
     directives = [text for member, value in _members(module) if (text := _directive(f"{name}.{member}", value))]
-    parts = [head, _constants(name, module), *(f"```{{eval-rst}}\n{text}\n```\n" for text in directives)]
+    directives += [f".. autodata:: {name}.{constant}\n   :no-value:" for constant in told]
+    parts = [head, _constants(module, told), *(f"```{{eval-rst}}\n{text}\n```\n" for text in directives)]
     return "\n".join(part for part in parts if part)
 
 
@@ -87,16 +98,27 @@ def _docstring(module: ModuleType) -> str:
 
 def _directive(path: str, member: Any) -> str:
     if inspect.isclass(member):
-        return f".. autoclass:: {path}\n   :members:\n   :member-order: bysource\n   :show-inheritance:"
+        return f".. autoclass:: {path}\n   :members:\n   :member-order: bysource"
     return f".. autofunction:: {path}" if inspect.isroutine(member) else ""
 
 
-def _constants(name: str, module: ModuleType) -> str:
-    """A line on what is neither class, function nor module."""
+def documented_constants(module: ModuleType) -> list[str]:
+    """Public names that the module itself assigns, with a docstring below."""
+    body = ast.parse(inspect.getsource(module)).body
+    found = []
+    for statement, below in itertools.pairwise(body):
+        if isinstance(below, ast.Expr) and isinstance(below.value, ast.Constant):
+            assigned = statement.targets if isinstance(statement, ast.Assign) else [getattr(statement, "target", None)]
+            found += [target.id for target in assigned if isinstance(target, ast.Name)]
+    return [name for name in getattr(module, "__all__", ()) if name in found]
+
+
+def _constants(module: ModuleType, told: list[str]) -> str:
+    """A line on what is neither class, function nor module, nor told below."""
     names = [
         f"`{member}`"
         for member, value in _members(module)
-        if not (inspect.isclass(value) or inspect.isroutine(value) or inspect.ismodule(value))
+        if not (inspect.isclass(value) or inspect.isroutine(value) or inspect.ismodule(value) or member in told)
     ]
     return f"Constants and types: {', '.join(names)}.\n" if names else ""
 
@@ -123,8 +145,6 @@ def first_sentence(documented: Any) -> str:
 
 def api_index() -> str:
     """Markdown of the reference's index."""
-    known = modules()
-    rows = [[f"[`{name}`]({name}.md)", first_sentence(module)] for name, module in known.items()]
-    tree = "\n".join(known)
+    rows = [[f"[`{name}`]({name}.md)", first_sentence(module)] for name, module in modules().items()]
     about = "Made from the docstrings. Points are metres in the frame of the robot's base, time is in control steps.\n"
-    return f"# API reference\n\n{about}\n{grid(['module', 'what it is'], rows)}\n```{{toctree}}\n:hidden:\n\n{tree}\n```\n"
+    return f"# API reference\n\n{about}\n{grid(['module', 'what it is'], rows)}"

@@ -6,12 +6,14 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from docutils import nodes
+
 DOCS = Path(__file__).resolve().parent
 sys.path.insert(0, str(DOCS))
 
 from api_page import targets  # noqa: E402
 from docstrings import is_markdown, markdown_to_rst  # noqa: E402
-from site_pages import PROJECT, write_pages  # noqa: E402
+from site_pages import PROJECT, sections, toctree, write_pages  # noqa: E402
 
 import pwm_gym  # noqa: E402
 
@@ -42,6 +44,7 @@ autodoc_preserve_defaults = True
 maximum_signature_line_length = 88
 napoleon_numpy_docstring = False
 napoleon_custom_sections = ["Version history"]
+suppress_warnings = ["ref.python"]  # an attribute "steps" of several classes, and annotations such as "slice"
 nitpicky = True  # a role that names nothing of the package is an error
 nitpick_ignore_regex = [(r"py:.*", r"(?!pwm_gym\.).*")]
 
@@ -65,33 +68,49 @@ copybutton_prompt_is_regexp = True
 
 _SHOWN: dict[str, str] = {}
 """Where something is defined -> under which name the reference shows it."""
+_SECTIONS: dict[str, list[str]] = {}
+"""Page -> the pages below it."""
+_COLON = "\0"
 
 
 def setup(app: Any) -> None:
     """Write the generated pages, and read docstrings and links as the repository has them."""
-    app.connect("builder-inited", lambda app: write_pages(Path(app.srcdir)))
-    app.connect("builder-inited", lambda app: _SHOWN.update(targets()))
-    app.connect("source-read", _links_to_the_root)
-    app.connect("autodoc-process-docstring", _markdown_docstring, priority=100)  # before napoleon
+    write_pages()
+    _SECTIONS.update(sections())
+    _SHOWN.update(targets())
+    app.connect("source-read", _as_a_page)
+    app.connect("autodoc-process-docstring", _before_napoleon, priority=100)
+    app.connect("autodoc-process-docstring", _after_napoleon, priority=900)
     app.connect("missing-reference", _shown_elsewhere)
 
 
-def _links_to_the_root(app: Any, docname: str, source: list[str]) -> None:
-    """Files of the repository's root that are pages of the site."""
+def _as_a_page(app: Any, docname: str, source: list[str]) -> None:
+    """Links to files of the repository's root that are pages of the site, and the pages below this one."""
     for page, file in PROJECT.items():
         source[0] = source[0].replace(f"](../{file}", f"](project/{page}.md")
+    if docname in _SECTIONS:
+        source[0] += toctree(_SECTIONS[docname])
 
 
-def _markdown_docstring(app: Any, what: str, name: str, obj: Any, options: Any, lines: list[str]) -> None:
-    """Environments' docstrings are Markdown, as Gymnasium's are."""
+def _before_napoleon(app: Any, what: str, name: str, obj: Any, options: Any, lines: list[str]) -> None:
+    """Environments' docstrings are Markdown; an attribute's first paragraph is text, where napoleon reads "type: text"."""
     if is_markdown("\n".join(lines)):
         lines[:] = markdown_to_rst(lines)
+    if what in ("attribute", "data", "property"):
+        end = lines.index("") if "" in lines else len(lines)
+        lines[:end] = [line.replace(":", _COLON) for line in lines[:end]]
+
+
+def _after_napoleon(app: Any, what: str, name: str, obj: Any, options: Any, lines: list[str]) -> None:
+    lines[:] = [line.replace(_COLON, ":") for line in lines]
 
 
 def _shown_elsewhere(app: Any, env: Any, node: Any, contnode: Any) -> Any:
     """What docstrings and annotations call by the module that defines it."""
-    target = _SHOWN.get(node.get("reftarget", ""))
-    if node.get("refdomain") != "py" or target is None:
+    if node.get("refdomain") != "py":
         return None
-    domain = env.get_domain("py")
-    return domain.resolve_xref(env, node["refdoc"], app.builder, "obj", target, node, contnode)
+    target = _SHOWN.get(node["reftarget"])
+    if target is not None:
+        domain = env.get_domain("py")
+        return domain.resolve_xref(env, node["refdoc"], app.builder, "obj", target, node, contnode)
+    return None if isinstance(contnode, nodes.literal) else contnode  # an annotation names what the reference leaves out

@@ -6,13 +6,10 @@ from pathlib import Path
 
 from task_parts import entities, facts, planning_cost, reward
 
-from pwm_gym.tasks import Task, get_task
+from pwm_gym.tasks import TASKS, Task
 
 DOCS = Path(__file__).parent
 PAGE = DOCS / "tasks.md"
-_PANDA = ("PickCube", "StackCube", "PickYCB", "MugCleanup", "Coffee", "CoffeePreparation")
-_FETCH = ("FetchReach", "FetchPush", "FetchSlide", "FetchPickAndPlace")
-_NAMES = (*_PANDA, *_FETCH)
 _INTRO = """# Tasks
 
 Written by `python docs/generate_tasks.py`. Spaces, rewards and infos that all tasks share:
@@ -29,7 +26,7 @@ _MORE = {
 
 def page() -> str:
     """The page's text."""
-    return "\n".join([_INTRO, *(_section(get_task(name)) for name in _NAMES)])
+    return "\n".join([_INTRO, *(_section(task) for task in TASKS.values())])
 
 
 def _section(task: Task) -> str:

@@ -47,7 +47,7 @@ def facts(task: Task) -> list[str]:
     ]
     folder = default_checkpoints().get(task.name)
     if folder is not None:
-        lines.append(f"- checkpoint `{folder.name}`, trained on {', '.join(_loaded(folder).seen_tasks)}")
+        lines.append(f"- checkpoint `{folder.name}`, trained on {', '.join(trained_on(task.name))}")
     if task.object_sets:
         lines.append(f"- sets of objects: {', '.join(f'`{name}`' for name in task.object_sets)}")
     return lines
@@ -56,6 +56,12 @@ def facts(task: Task) -> list[str]:
 @cache
 def _loaded(folder: Path) -> Checkpoint:
     return load_checkpoint(folder)
+
+
+def trained_on(task: str) -> tuple[str, ...]:
+    """Tasks that the task's shipped checkpoint has seen; none where it has no checkpoint."""
+    folder = default_checkpoints().get(task)
+    return () if folder is None else tuple(_loaded(folder).seen_tasks)
 
 
 def entities(task: Task) -> list[str]:
