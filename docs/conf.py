@@ -78,6 +78,7 @@ def setup(app: Any) -> None:
     write_pages()
     _SECTIONS.update(sections())
     _SHOWN.update(targets())
+    app.connect("env-get-outdated", lambda *_: [*_SECTIONS])  # what is below them is not in their files
     app.connect("source-read", _as_a_page)
     app.connect("autodoc-process-docstring", _before_napoleon, priority=100)
     app.connect("autodoc-process-docstring", _after_napoleon, priority=900)
@@ -93,7 +94,7 @@ def _as_a_page(app: Any, docname: str, source: list[str]) -> None:
 
 
 def _before_napoleon(app: Any, what: str, name: str, obj: Any, options: Any, lines: list[str]) -> None:
-    """Environments' docstrings are Markdown; an attribute's first paragraph is text, where napoleon reads "type: text"."""
+    """Turn Markdown to reStructuredText, and hide the colons of an attribute's text, which napoleon takes for a type's."""
     if is_markdown("\n".join(lines)):
         lines[:] = markdown_to_rst(lines)
     if what in ("attribute", "data", "property"):
@@ -113,4 +114,6 @@ def _shown_elsewhere(app: Any, env: Any, node: Any, contnode: Any) -> Any:
     if target is not None:
         domain = env.get_domain("py")
         return domain.resolve_xref(env, node["refdoc"], app.builder, "obj", target, node, contnode)
-    return None if isinstance(contnode, nodes.literal) else contnode  # an annotation names what the reference leaves out
+    return (
+        None if isinstance(contnode, nodes.literal) else contnode
+    )  # an annotation names what the reference leaves out

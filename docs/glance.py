@@ -33,8 +33,8 @@ def glance() -> str:
     rollouts = [row for task in TASKS for m in measured.measurements("evaluate", task) for row in _rollouts(m)]
     about = paragraph(
         "Of the shipped checkpoints; commands stand in the sections below. Planned with MPPI and executed in the",
-        "simulator; rollouts observe three clouds and predict the rest of an episode. The paper's figures are of its own",
-        "episodes, objects and simulator.",
+        "simulator; rollouts observe three clouds and predict the rest of an episode. The paper's figures are of its",
+        "own episodes, objects and simulator.",
     )
     tables = [grid(HEADLINE_HEAD, headline()), grid(["task", "planning", *SUCCESS_HEAD[1:]], planned)]
     return "\n".join(["## At a glance\n", about, *tables, grid(_ROLLOUT_HEAD, rollouts)])

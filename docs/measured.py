@@ -5,13 +5,20 @@ from __future__ import annotations
 import json
 import shlex
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any
 
 from formatting import RESULTS, number, success
 
 _DEFAULT_TASK = "PickCube"  # of commands that name none
-PAPER_SUCCESS = {"PickCube": 90, "StackCube": 75, "PickYCB": 65, "MugCleanup": 75, "Coffee": 60, "CoffeePreparation": 45}
+PAPER_SUCCESS = {
+    "PickCube": 90,
+    "StackCube": 75,
+    "PickYCB": 65,
+    "MugCleanup": 75,
+    "Coffee": 60,
+    "CoffeePreparation": 45,
+}
 """Success in closed loop that the paper reports, percent; its episodes, objects and simulator are others."""
 PAPER_ROLLOUTS = {
     "PickCube": (0.009, 0.86),
@@ -62,9 +69,14 @@ class Measurement:
 
 def measurements(verb: str, task: str | None = None) -> list[Measurement]:
     """Results of ``pwm-gym VERB``, of one task or of all, without tables of trainings and views of a camera."""
-    found = [Measurement(path.stem, json.loads(path.read_text())) for path in sorted(RESULTS.glob("*.json"))]
-    asked = [m for m in found if m.verb == verb and task in (None, m.task)]
+    asked = [m for m in _all() if m.verb == verb and task in (None, m.task)]
     return asked if verb == "bench" else [m for m in asked if not {"table", "completer"} & m.options.keys()]
+
+
+@cache
+def _all() -> list[Measurement]:
+    """Every result, read once."""
+    return [Measurement(path.stem, json.loads(path.read_text())) for path in sorted(RESULTS.glob("*.json"))]
 
 
 def plan_label(measurement: Measurement) -> str:

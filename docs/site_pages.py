@@ -24,17 +24,19 @@ _CARDS = {
     "results": ("Results", "Rollouts, planning, baselines and speed, each figure with its command."),
     "api/index": ("API reference", "Every public class and function, from its docstring."),
 }
+_TITLES = {"tasks": "All tasks on one page", "environments": "Spaces, infos, wrappers"}
+"""What the table of contents calls a page, where that is not its own heading."""
 _LANDING = """# pwm_gym
 
-Learned **3D point world models as Gymnasium environments**, each with a simulator-backed twin: plan or learn in the model, and
-see at once how far it agrees with the truth.
+Learned **3D point world models as Gymnasium environments**, each with a simulator-backed twin: plan or learn in the
+model, and see at once how far it agrees with the truth.
 
 :::{{div}} hero
 ![PickCube: planned in the world model (teal), executed in the simulator (purple)](images/twin.gif)
 :::
 
-It is what `pwm-gym demo` draws: a plan made in the world model, executed in the simulator, and predicted from the first scene
-alone.
+It is what `pwm-gym demo` draws: a plan made in the world model, executed in the simulator, and predicted from the first
+scene alone.
 
 ```python
 import gymnasium as gym
@@ -70,7 +72,8 @@ def sections() -> dict[str, list[str]]:
 
 def toctree(pages: list[str]) -> str:
     """The directive that the site puts below a page, so that committed Markdown has none."""
-    return "\n```{toctree}\n:hidden:\n\n" + "\n".join(f"/{page}" for page in pages) + "\n```\n"
+    entries = [f"{_TITLES[page]} </{page}>" if page in _TITLES else f"/{page}" for page in pages]
+    return "\n```{toctree}\n:hidden:\n\n" + "\n".join(entries) + "\n```\n"
 
 
 def write_pages() -> None:

@@ -36,12 +36,12 @@ def task_page(task: Task) -> str:
         f"## Observation space\n\n{observation_table(task)}",
         _goal(task),
         "## Entities\n\n" + "\n".join(entities(task)) + "\n",
-        f"## Reward\n\nMinus the cost `{task.cost}`, whose terms are in `info[\"cost_terms\"]`:\n",
+        f'## Reward\n\nMinus the cost `{task.cost}`, whose terms are in `info["cost_terms"]`:\n',
         weights(get_cost(task.cost).terms),
         _planning(task),
         f"## Starting state\n\n{starting_state(task)}",
-        f"`twin.reset(seed=s)` is the simulator's own episode of seed s; its `scene()` starts the model: "
-        f"[environments](../environments.md#simenv).\n",
+        "`twin.reset(seed=s)` is the simulator's own episode of seed s; its `scene()` starts the model: "
+        "[environments](../environments.md#simenv).\n",
         _end(task),
         _results(task),
     ]
@@ -67,9 +67,7 @@ def _planning(task: Task) -> str:
     head = f"## Planning cost\n\nPlanner `{task.planner}` descends `{task.plan_cost}`"
     if not isinstance(cost, StagedCost):
         return f"{head}:\n\n{weights(cost.terms)}"
-    stages = [
-        f"### Stage {i}: {stage.name}\n\n{weights(stage.terms)}" for i, stage in enumerate(cost.stages, 1)
-    ]
+    stages = [f"### Stage {i}: {stage.name}\n\n{weights(stage.terms)}" for i, stage in enumerate(cost.stages, 1)]
     always = f"a [sequence of stages](../stages.md), of which each that is left costs {cost.price:g}. In every stage:"
     return "\n".join([f"{head}, {always}\n\n{weights(cost.terms)}", *stages])
 
@@ -88,7 +86,9 @@ def _results(task: Task) -> str:
     parts = [_planned(task), _rollouts(task), _speed(task)]
     if not any(parts):
         return "## Results\n\nNone are recorded yet.\n"
-    about = "## Results\n\nOf the shipped checkpoint; what the figures mean, and all others: [results](../results.md).\n"
+    about = (
+        "## Results\n\nOf the shipped checkpoint; what the figures mean, and all others: [results](../results.md).\n"
+    )
     return "\n".join([about, *(part for part in parts if part)])
 
 
