@@ -45,6 +45,7 @@ $(VENV)/.docs: $(VENV)/.dependencies
 
 docs: $(VENV)/.docs $(VENV)/.package
 	$(BIN)/sphinx-build -q -W --keep-going -d build/doctrees docs build/docs
+	$(BIN)/python docs/check_links.py build/docs
 	@echo "open build/docs/index.html"
 
 clean:

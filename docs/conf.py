@@ -94,7 +94,7 @@ def _as_a_page(app: Any, docname: str, source: list[str]) -> None:
 
 
 def _before_napoleon(app: Any, what: str, name: str, obj: Any, options: Any, lines: list[str]) -> None:
-    """Turn Markdown to reStructuredText, and hide the colons of an attribute's text, which napoleon takes for a type's."""
+    """Turn Markdown to reStructuredText, and hide colons of an attribute's text, which napoleon takes for a type's."""
     if is_markdown("\n".join(lines)):
         lines[:] = markdown_to_rst(lines)
     if what in ("attribute", "data", "property"):

@@ -169,6 +169,12 @@ def test_markdown_docstrings_become_restructured_text(docs):
     ]
 
 
+def test_dead_links_of_a_built_site_are_found(docs, tmp_path):
+    (tmp_path / "a.html").write_text('<h1 id="top"><a href="b.html#there">x</a><a href="https://x.org/y">y</a>')
+    (tmp_path / "b.html").write_text('<p id="there"><a href="a.html#gone">x</a><img src="no.png"><a href="#there">')
+    assert docs("check_links").dead_links(tmp_path) == ["b.html: a.html#gone", "b.html: no.png"]
+
+
 @pytest.mark.parametrize("page", PAGES)
 def test_pages_name_only_files_that_exist(page):
     for link in re.findall(r"\]\((?!http|#)([^)#\s]+)[^)]*\)", (ROOT / page).read_text()):
