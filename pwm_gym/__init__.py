@@ -43,6 +43,7 @@ __all__ = [
     "Scene",
     "SceneError",
     "UnknownNameError",
+    "agents",
     "collection",
     "data",
     "dynamics",
@@ -65,6 +66,7 @@ if not Path(__file__).with_name("envs").is_dir():  # in the repository envs/ and
     __path__.append(str(Path(__file__).parents[1]))
 
 _SUBPACKAGES = (
+    "agents",
     "collection",
     "data",
     "dynamics",

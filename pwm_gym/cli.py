@@ -16,6 +16,7 @@ from pwm_gym.commands.envs import Envs
 from pwm_gym.commands.evaluate import Evaluate
 from pwm_gym.commands.plan import Plan
 from pwm_gym.commands.publish import Publish
+from pwm_gym.commands.rank import Rank
 from pwm_gym.commands.scenes import Scenes
 from pwm_gym.commands.train import Train
 from pwm_gym.commands.train_agent import TrainAgent
@@ -30,6 +31,7 @@ Command = (
     | Annotated[Collect, tyro.conf.subcommand("collect")]
     | Annotated[Train, tyro.conf.subcommand("train")]
     | Annotated[TrainAgent, tyro.conf.subcommand("train-agent")]
+    | Annotated[Rank, tyro.conf.subcommand("rank")]
     | Annotated[Complete, tyro.conf.subcommand("complete")]
     | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
     | Annotated[Plan, tyro.conf.subcommand("plan")]

@@ -19,7 +19,7 @@ from pwm_gym.scene import Scene
 from pwm_gym.schema import read_json
 from pwm_gym.seeds import seed_range
 
-__all__ = ["load_runs", "plan_episodes", "planning_table", "run_episodes", "save_runs", "wilson"]
+__all__ = ["episodes_in", "load_runs", "plan_episodes", "planning_table", "run_episodes", "save_runs", "wilson"]
 
 _RECIPE = "planned-by.json"
 
@@ -68,19 +68,24 @@ def run_episodes(
 
 
 def plan_episodes(agent: Agent, episodes: int, objects: str = "", progress: bool = False) -> dict[str, Any]:
-    """Table of the test seeds in the simulator, in closed loop.
+    """Table of the test seeds in the simulator, as of :func:`episodes_in`."""
+    return planning_table(episodes_in("sim", agent, episodes, objects, progress))
+
+
+def episodes_in(world: str, agent: Agent, episodes: int, objects: str = "", progress: bool = False) -> list[Run]:
+    """Runs of the test seeds, in closed loop.
 
     Args:
+        world: "sim", the simulator, or "model", the shipped world model.
         agent: plans, or acts.
         episodes: how many.
-        objects: what they draw their objects from, where they differ; the task's default if not given.
+        objects: what the simulator's draw their objects from, where they differ; the task's default if not given.
         progress: whether to show a progress bar.
     """
     task = agent.task
-    with gym.make(f"pwm/{task.name}Sim-v0", objects=objects or None) as env:
-        seeds = seed_range("plan_test", episodes)
-        runs = run_episodes(env, agent, seeds, task.max_episode_steps, progress=progress)
-    return planning_table(runs)
+    name, settings = {"sim": ("Sim", {"objects": objects or None}), "model": ("", {})}[world]
+    with gym.make(f"pwm/{task.name}{name}-v0", **settings) as env:
+        return run_episodes(env, agent, seed_range("plan_test", episodes), task.max_episode_steps, progress=progress)
 
 
 def _claim(folder: Path, recipe: dict[str, Any]) -> None:

@@ -3,18 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
+from torch import Tensor
 
 from pwm_gym.dynamics.baselines import Still
 from pwm_gym.errors import PwmGymError
 from pwm_gym.planning import Agent
-from pwm_gym.policies.network import Policy
 from pwm_gym.scene import RigidState, Scene
 from pwm_gym.tasks import get_task
 
-__all__ = ["PolicyAgent"]
+__all__ = ["ActsOnPoses", "PolicyAgent"]
+
+
+class ActsOnPoses(Protocol):
+    """A policy of rigid scenes."""
+
+    def act(self, state: RigidState, goal: Tensor) -> Tensor:
+        """Actions (B, A) in states (B,) for goals (B, G)."""
 
 
 class PolicyAgent(Agent):
@@ -25,7 +32,7 @@ class PolicyAgent(Agent):
         task: registered task.
     """
 
-    def __init__(self, policy: Policy, task: str) -> None:
+    def __init__(self, policy: ActsOnPoses, task: str) -> None:
         known = get_task(task)
         super().__init__(Still(known.layout, known.control), task)
         self.policy = policy

@@ -1,0 +1,149 @@
+"""Reinforcement learning of a task, in its world model or in its simulator twin."""
+
+from __future__ import annotations
+
+import json
+import time
+from contextlib import closing
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.logger import configure
+from tqdm import tqdm
+
+from pwm_gym.agents.config import AgentConfig
+from pwm_gym.agents.policy import algorithm_class, policy_name, policy_settings, save_agent
+from pwm_gym.agents.worlds import make_world
+from pwm_gym.collection.scenes import simulated_bank
+from pwm_gym.dynamics import SceneBank, load_checkpoint, resolve
+from pwm_gym.errors import PwmGymError
+from pwm_gym.files import write_atomically
+from pwm_gym.process import prepare_process
+from pwm_gym.schema import read_json
+from pwm_gym.tasks import Task, get_task
+
+__all__ = ["train"]
+
+_STATE, _PROGRESS, _SCENES = "training-state.zip", "progress.json", "scenes.npz"
+
+
+def train(task: str, out: Path, config: AgentConfig | None = None, progress: bool = True) -> dict[str, Any]:
+    """Train a policy, and return what it took; the same call goes on where a killed run was.
+
+    Args:
+        task: registered task.
+        out: folder of the policy, of ``snapshots/`` along the way, of TensorBoard's curves, and of the state that a
+            killed run resumes from.
+        config: settings.
+        progress: whether to show a bar.
+
+    Returns:
+        Seconds and environment steps of the policy's training, and, of one trained in a model, what the model's own
+        data and training were.
+
+    Raises:
+        PwmGymError: the folder holds a run of other settings, or settings that do not fit the task.
+    """
+    config, known = config or AgentConfig(), get_task(task)
+    prepare_process(config.threads)
+    spent = _claim(out, known, config)
+    scenes = _scenes(known, config, out)
+    with closing(make_world(known, config, scenes)) as world:
+        learner = _learner(known, config, world, out)
+        learner.set_logger(configure(str(out / "tensorboard"), ["tensorboard"]))
+        saver = _Saver(learner, known, config, out, spent, progress)
+        if (left := config.steps - learner.num_timesteps) > 0:
+            learner.learn(left, callback=saver, reset_num_timesteps=False)
+        saver.save()
+    return saver.told()
+
+
+def _claim(out: Path, task: Task, config: AgentConfig) -> float:
+    """Note whose folder it is, or compare; the seconds that the run took so far."""
+    path, told = out / _PROGRESS, json.loads(json.dumps({"task": task.name, **asdict(config)}))
+    if not path.exists():
+        write_atomically(path, json.dumps({"run": told, "seconds": 0.0}).encode())
+        return 0.0
+    found = read_json(path, dict[str, Any], PwmGymError)
+    was = found.get("run", {})
+    if other := sorted(key for key in {*was, *told} - {"threads"} if was.get(key) != told.get(key)):
+        before, now = ({key: each.get(key) for key in other} for each in (was, told))
+        raise PwmGymError(f"{out} holds a run of {before}; expected {now}, or another folder")
+    return float(found.get("seconds", 0.0))
+
+
+def _scenes(task: Task, config: AgentConfig, out: Path) -> SceneBank | None:
+    """What the model's episodes start from, drawn once a run."""
+    if config.world != "model" or not config.scenes:
+        return None
+    path = out / _SCENES
+    if not path.exists():
+        simulated_bank(task, config.scenes).save(path)
+    return SceneBank.load(path)
+
+
+def _learner(task: Task, config: AgentConfig, world: Any, out: Path) -> BaseAlgorithm:
+    """A new algorithm, or the one that a killed run left."""
+    kind: Any = algorithm_class(config.algorithm)
+    if (out / _STATE).exists():
+        return kind.load(out / _STATE, world, device=config.device)
+    shapes = policy_settings(task, config)
+    return kind(policy_name(config), world, policy_kwargs=shapes, **config.settings())
+
+
+class _Saver(BaseCallback):
+    """Shows progress and saves the run: its state after each of PPO's updates that is due, and the policy beside it."""
+
+    def __init__(
+        self, learner: BaseAlgorithm, task: Task, config: AgentConfig, out: Path, spent: float, progress: bool
+    ) -> None:
+        super().__init__()
+        self.model, self.task, self.config, self.out = learner, task, config, out
+        self._spent, self._begun = spent, time.perf_counter()
+        self._bar = tqdm(
+            total=config.steps, unit="step", unit_scale=True, mininterval=1.0, desc="train", disable=not progress
+        )
+        self._saved = 0
+
+    def _on_training_start(self) -> None:
+        self._saved = self.num_timesteps
+
+    def _on_step(self) -> bool:
+        self._bar.update(min(self.num_timesteps, self.config.steps) - self._bar.n)
+        return True
+
+    def _on_rollout_start(self) -> None:
+        """An update is over."""
+        infos = self.model.ep_success_buffer
+        if infos:
+            self._bar.set_postfix(success=f"{sum(infos) / len(infos):.2f}")
+        every = self.config.snapshot_every
+        if every and self.num_timesteps // every > self._saved // every:
+            self._saved = self.num_timesteps
+            self.save(self.out / "snapshots" / f"{self.num_timesteps:09d}")
+
+    def save(self, folder: Path | None = None) -> None:
+        """Write the policy, and the state that the run goes on from."""
+        told = self.told()
+        save_agent(folder or self.out, self.model.policy, self.task, self.config, told)
+        self.model.save(self.out / f".{_STATE}")
+        (self.out / f".{_STATE}").replace(self.out / _STATE)
+        run = {"task": self.task.name, **asdict(self.config)}
+        write_atomically(self.out / _PROGRESS, json.dumps({"run": run, "seconds": told["seconds"]}).encode())
+
+    def told(self) -> dict[str, Any]:
+        """What the training took so far."""
+        seconds = self._spent + time.perf_counter() - self._begun
+        return {"seconds": seconds, "steps": self.model.num_timesteps, **_model_took(self.task, self.config)}
+
+
+def _model_took(task: Task, config: AgentConfig) -> dict[str, Any]:
+    """Simulator steps of the world model's data, and minutes of its training."""
+    if config.world != "model":
+        return {}
+    training = load_checkpoint(resolve(config.checkpoint, task.name)).description["training"]
+    data = training.get("data") or {}
+    return {"model_data_steps": data.get("transitions"), "model_minutes": training.get("minutes")}
