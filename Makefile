@@ -6,7 +6,7 @@ SOURCES = pwm_gym_cli.py $(shell find pwm_gym envs wrappers -type f -not -name '
 export OMP_NUM_THREADS ?= 2
 TASK ?= PickCube# of `make demo`
 
-.PHONY: demo test test-all coverage lint install clean
+.PHONY: demo test test-all coverage lint docs install clean
 
 install: $(VENV)/.package
 
@@ -19,9 +19,9 @@ $(VENV)/.dependencies: pyproject.toml constraints.txt
 
 # The package itself is installed as a wheel, so that the tests see what a user gets.
 $(VENV)/.package: $(VENV)/.dependencies $(SOURCES) pyproject.toml
-	rm -rf build
+	rm -rf build/lib build/bdist.*
 	$(BIN)/pip install -q --disable-pip-version-check --no-deps --force-reinstall .
-	rm -rf build *.egg-info
+	rm -rf build/lib build/bdist.* *.egg-info
 	touch $@
 
 demo: $(VENV)/.package
@@ -41,6 +41,16 @@ test-all: lint
 # Which lines the tests run; not a part of `make test`, which it would slow down.
 coverage: $(VENV)/.package
 	$(BIN)/pytest -n 2 --dist loadfile --cov=pwm_gym --cov-report=term --cov-report=xml
+
+$(VENV)/.docs: $(VENV)/.dependencies
+	$(BIN)/pip install -q --disable-pip-version-check -c constraints.txt '.[docs]'
+	rm -rf build/lib build/bdist.* *.egg-info
+	touch $@
+
+docs: $(VENV)/.docs $(VENV)/.package
+	$(BIN)/sphinx-build -q -W --keep-going -d build/doctrees docs build/docs
+	$(BIN)/python docs/check_links.py build/docs
+	@echo "open build/docs/index.html"
 
 clean:
 	rm -rf $(VENV) build *.egg-info demo .mypy_cache .ruff_cache .pytest_cache

@@ -5,6 +5,8 @@ from __future__ import annotations
 import inspect
 from pathlib import Path
 
+from docstrings import google_to_markdown, is_markdown, markdown_at
+
 from pwm_gym.envs import ModelEnv, ModelVectorEnv, SimEnv
 from pwm_gym.tasks import TASKS
 from pwm_gym.wrappers import (
@@ -46,14 +48,20 @@ def page() -> str:
         cells = f"{task.layout.points} | {task.action_size} | {names} |"
         lines.append(f"| `pwm/{task.name}-v0`, `pwm/{task.name}Sim-v0` | {task.description} | {cells}")
     for env in (ModelEnv, ModelVectorEnv, SimEnv):
-        lines += ["", f"# {env.__name__}", "", inspect.getdoc(env) or ""]
-    lines += ["", "# Wrappers"]
+        lines += ["", f"## {env.__name__}", "", _told(env)]
+    lines += ["", "## Wrappers"]
     for wrapper in WRAPPERS:
-        lines += ["", f"## {wrapper.__name__}", "", inspect.getdoc(wrapper) or ""]
-    lines += ["", "# Wrappers of the native batch", "", "In `pwm_gym.wrappers.vector`."]
+        lines += ["", f"### {wrapper.__name__}", "", _told(wrapper)]
+    lines += ["", "## Wrappers of the native batch", "", "In `pwm_gym.wrappers.vector`."]
     for batched in BATCH_WRAPPERS:
-        lines += ["", f"## vector.{batched.__name__}", "", inspect.getdoc(batched) or ""]
+        lines += ["", f"### vector.{batched.__name__}", "", _told(batched)]
     return "\n".join(lines) + "\n"
+
+
+def _told(documented: type) -> str:
+    """The docstring as Markdown below a heading of the second level."""
+    text = inspect.getdoc(documented) or ""
+    return markdown_at(text, level=3) if is_markdown(text) else google_to_markdown(text)
 
 
 if __name__ == "__main__":

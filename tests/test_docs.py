@@ -1,18 +1,22 @@
-"""README snippets run, and generated pages are up to date."""
+"""Code on pages runs, generated pages are up to date, and the site has every page, task and link."""
 
 from __future__ import annotations
 
-import importlib.util
+import importlib
 import re
+from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
 import gymnasium as gym
 import pytest
 
+import pwm_gym
 from pwm_gym.costs import COSTS, GRASPS, SUCCESSES, get_cost
 from pwm_gym.tasks import TASKS
 
 ROOT = Path(__file__).parents[1]
+PAGES = sorted(path.relative_to(ROOT).as_posix() for path in [*ROOT.glob("*.md"), *ROOT.glob("docs/*.md")])
 
 
 def run_page(page):
@@ -25,9 +29,26 @@ def run_page(page):
     return namespace
 
 
-def test_readme_snippets_run(monkeypatch, tmp_path):
-    monkeypatch.chdir(tmp_path)
+def test_readme_snippets_run():
     assert run_page("README.md")["info"]["cost_terms"]
+
+
+def test_every_block_of_readme_runs_alone():
+    assert (ROOT / "README.md").read_text().count("```python") == 1
+
+
+def test_the_quick_start_runs(monkeypatch, tmp_path, kept_registries):
+    monkeypatch.chdir(tmp_path)
+    names = run_page("docs/quick_start.md")
+    assert names["many"].num_envs == 64 and (tmp_path / "run.npz").exists()
+    assert names["info"]["completion_error"]["cube"] < 0.02  # metres
+
+
+def test_a_frame_of_ones_own_camera_becomes_a_scene_and_a_plan(monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    names = run_page("docs/own_camera.md")
+    assert names["error"] < 0.01  # metres
+    assert names["action"].shape == (7,) and (tmp_path / "view.npz").exists()
 
 
 @pytest.fixture
@@ -75,6 +96,12 @@ def test_the_viewers_page_writes_a_page_and_a_film(monkeypatch, tmp_path):
     assert "My run" in (tmp_path / "run.html").read_text() and list(tmp_path.glob("films/*.mp4"))
 
 
+def test_the_page_of_agents_trains_one_and_ranks_others(monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    names = run_page("docs/agents.md")
+    assert names["took"]["steps"] >= 64 and names["table"]["policies"] == 2
+
+
 def test_a_sequence_of_ones_own_goes_from_stage_to_stage(kept_registries):
     assert list(dict.fromkeys(run_page("docs/stages.md")["stages"])) == ["left", "back", "finished"]
 
@@ -86,17 +113,96 @@ def test_the_page_of_stages_names_those_of_the_tasks():
         assert f"| {name} | {stages} |" in text
 
 
-@pytest.mark.parametrize("name", ["generate", "generate_tasks", "generate_results"])
-def test_generated_pages_are_up_to_date(name, monkeypatch):
-    monkeypatch.syspath_prepend(str(ROOT / "docs"))  # as Python does for a script
-    spec = importlib.util.spec_from_file_location(name, ROOT / "docs" / f"{name}.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+@pytest.fixture
+def docs(monkeypatch):
+    """Imports a script of docs/ as Python runs it."""
+    monkeypatch.syspath_prepend(str(ROOT / "docs"))
+    return importlib.import_module
+
+
+@pytest.mark.parametrize("name", ["generate", "generate_tasks", "generate_results", "generate_readme"])
+def test_generated_pages_are_up_to_date(name, docs):
+    module = docs(name)
     assert module.PAGE.read_text() == module.page(), f"run: python docs/{name}.py"
 
 
-def test_readme_names_only_files_that_exist():
-    links = re.findall(r"\]\((?!http)([^)#]+)\)", (ROOT / "README.md").read_text())
-    assert links
-    for link in links:
-        assert (ROOT / link).exists(), link
+def test_the_site_has_every_page_once(docs):
+    named = Counter(page for below in docs("site_pages").sections().values() for page in below)
+    committed = {Path(page).stem for page in PAGES if page.startswith("docs/")} - {"index"}
+    tasks = {f"tasks/{name}" for name in TASKS}
+    assert {page for page in named if "/" not in page} == committed
+    assert {page for page in named if page.startswith("tasks/")} == {*tasks, "tasks/index"}
+    assert max(named.values()) == 1
+
+
+@pytest.mark.parametrize("name", sorted(TASKS))
+def test_every_task_has_a_page_with_its_spaces_and_its_terms(name, docs):
+    task = TASKS[name]
+    text = docs("task_page").task_page(task)
+    assert f"`Box(-1.0, 1.0, ({task.action_size},), float32)`" in text
+    assert f"| `points` | `({task.layout.points}, 3)` |" in text
+    assert all(f"| `{entity.name}` | {entity.points} |" in text for entity in task.layout)
+    terms = get_cost(task.cost).terms
+    assert all(f"| `{term}` | {weight:+.3g} |" in text for term, (weight, _) in terms.items())
+    assert all(f": {stage}\n" in text for stage in getattr(get_cost(task.plan_cost), "stage_names", ())[:-1])
+
+
+def test_a_task_that_is_registered_has_a_page_at_once(docs, kept_registries):
+    TASKS["Another"] = replace(TASKS["StackCube"], name="Another", description="Something else.")
+    site = docs("site_pages")
+    assert "tasks/Another" in site.sections()["tasks/index"]
+    assert "Something else." in site.tasks_index()
+    page = docs("task_page").task_page(TASKS["Another"])
+    assert 'gym.make("pwm/Another-v0", checkpoint=' in page and "None are recorded yet." in page
+
+
+def test_a_tasks_page_has_its_results_with_their_commands(docs):
+    page = docs("task_page").task_page(TASKS["StackCube"])
+    plan = docs("measured").measurements("plan", "StackCube")[0]
+    assert plan.result["command"] in page
+    assert f"| {plan.result['successes']} / {plan.result['episodes']} |" in page
+
+
+def test_the_reference_has_every_public_package(docs):
+    api = docs("api_page")
+    assert {f"pwm_gym.{name}" for name in pwm_gym._SUBPACKAGES} < {*api.PUBLIC}
+    text = api.api_page("pwm_gym.planning", importlib.import_module("pwm_gym.planning"))
+    assert ".. autoclass:: pwm_gym.planning.Agent\n" in text and ".. autofunction:: pwm_gym.planning.execute\n" in text
+    assert "PLANNERS" in text
+
+
+def test_docstrings_become_markdown(docs):
+    text = "What.\n\nArgs:\n    a: one,\n        more of :class:`it.It`.\n    b: two.\n\nExample:\n    >>> f(``x``)\n"
+    told = docs("docstrings").google_to_markdown(text)
+    assert "- `a`: one, more of `it.It`.\n- `b`: two.\n\n**Example**\n\n```pycon\n>>> f(``x``)\n```" in told
+
+
+def test_markdown_docstrings_become_restructured_text(docs):
+    lines = ["## Head", "", "| a | b |", "|---|---|", "| 1 | 2 |", "", "End."]
+    told = docs("docstrings").markdown_to_rst(lines)
+    assert [line for line in told if line] == [
+        ".. rubric:: Head",
+        ".. list-table::",
+        "   :header-rows: 1",
+        "   * - a",
+        "     - b",
+        "   * - 1",
+        "     - 2",
+        "End.",
+    ]
+
+
+def test_dead_links_of_a_built_site_are_found(docs, tmp_path):
+    (tmp_path / "a.html").write_text('<h1 id="top"><a href="b.html#there">x</a><a href="https://x.org/y">y</a>')
+    (tmp_path / "b.html").write_text('<p id="there"><a href="a.html#gone">x</a><img src="no.png"><a href="#there">')
+    assert docs("check_links").dead_links(tmp_path) == ["b.html: a.html#gone", "b.html: no.png"]
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_pages_name_only_files_that_exist(page):
+    for link in re.findall(r"\]\((?!http|#)([^)#\s]+)[^)]*\)", (ROOT / page).read_text()):
+        assert (ROOT / page).parent.joinpath(link).exists(), link
+
+
+def test_readme_links_into_the_docs():
+    assert "](docs/quick_start.md)" in (ROOT / "README.md").read_text()
