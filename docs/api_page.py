@@ -25,6 +25,7 @@ PUBLIC = (
     "pwm_gym.dynamics",
     "pwm_gym.planning",
     "pwm_gym.policies",
+    "pwm_gym.agents",
     "pwm_gym.cameras",
     "pwm_gym.completion",
     "pwm_gym.perception",
@@ -39,6 +40,7 @@ PUBLIC = (
 )
 _FURTHER = (
     "pwm_gym.wrappers.vector",
+    "pwm_gym.agents.ranking",
     "pwm_gym.sim.maniskill",
     "pwm_gym.sim.mujoco",
     "pwm_gym.sim.cabinet",
