@@ -79,6 +79,8 @@ class XmlWorld:
         self.data = mujoco.MjData(self.model)
         self.period = float(self.model.opt.timestep) * frame_skip
         self.action_size = int(self.model.nu) if action_size is None else action_size
+        self.direct = act is None
+        """Whether actions span the actuators' ranges."""
         self._act = self._spread if act is None else act
         self._start, self._frame_skip = start, frame_skip
         self._goal = np.zeros(0)
