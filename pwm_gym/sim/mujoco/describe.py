@@ -65,7 +65,8 @@ def layout_of(simulator: MujocoSimulator, points: int = 300) -> Layout:
         points: of each entity.
 
     Raises:
-        PwmGymError: an entity that hangs on several joints, which are not those of a free body.
+        PwmGymError: an entity that hangs on several joints, which are not those of a free body, or something else
+            than a plane or a box of the world that can be touched and belongs to no entity.
     """
     names = simulator.assets()
     return Layout.build(
@@ -100,7 +101,7 @@ def _rest(model: Any, actuator: int) -> float | None:
     if model.actuator_biasprm[actuator, 1]:  # its force depends on where it is
         return None
     low, high = model.actuator_ctrlrange[actuator]
-    return float(np.clip(-(low + high) / (high - low), -1.0, 1.0)) if high > low else 0.0
+    return float(np.clip((low + high) / (low - high), -1.0, 1.0)) + 0.0 if high > low else 0.0  # no negative zero
 
 
 def _joints(simulator: MujocoSimulator, names: Iterable[str]) -> dict[str, Joint]:
@@ -202,6 +203,19 @@ def _supports(simulator: MujocoSimulator) -> Iterable[Support]:
             half = np.array([_EDGELESS, _EDGELESS, 1.0])
             pose[:3] -= rotation(pose).apply([0.0, 0.0, 1.0])
         elif kind != int(mujoco.mjtGeom.mjGEOM_BOX):
-            continue
+            raise PwmGymError(_no_support(model, geom))
         x, y, z, *rest = relative(simulator.base, pose[None])[0].round(12).tolist()
         yield Support((x, y, z, *rest), tuple(half.tolist()))
+
+
+def _no_support(model: Any, geom: int) -> str:
+    import mujoco
+
+    name = model.geom(geom).name or f"number {geom}"
+    body = model.body(int(model.geom_bodyid[geom])).name
+    if model.geom_type[geom] == int(mujoco.mjtGeom.mjGEOM_HFIELD):
+        return f"geom {name!r} of body {body!r} is a height field, which is not supported; expected planes and boxes"
+    return (
+        f"geom {name!r} of body {body!r} can be touched and is neither a plane nor a box; expected its body among the "
+        "entities"
+    )

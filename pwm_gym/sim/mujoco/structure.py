@@ -66,7 +66,11 @@ def scalar_joints(model: Any, joints: np.ndarray) -> np.ndarray:
     for joint in joints.tolist():
         if model.jnt_type[joint] not in (joint_type("SLIDE"), joint_type("HINGE")):
             name = model.joint(joint).name or f"number {joint}"
-            raise PwmGymError(f"the robot's joint {name!r} is free or a ball; expected slides and hinges")
+            body = model.body(int(model.jnt_bodyid[joint])).name
+            raise PwmGymError(
+                f"the robot's joint {name!r} of body {body!r} is free or a ball; expected slides and hinges in what "
+                "actuators drive"
+            )
     return joints
 
 
@@ -122,4 +126,7 @@ def check_supported(model: Any) -> None:
     if model.nbody > _MOST_BODIES:
         raise PwmGymError(f"the model has {model.nbody} bodies; expected {_MOST_BODIES} at most")
     if model.nflex:
-        raise PwmGymError(f"the model has a flexible body {model.flex(0).name!r}; expected rigid ones")
+        import mujoco
+
+        name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_FLEX, 0) or "number 0"
+        raise PwmGymError(f"the model has a flexible body {name!r}; expected rigid ones")
