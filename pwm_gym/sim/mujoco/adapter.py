@@ -266,14 +266,25 @@ class MujocoSimulator:
 
         Raises:
             UnknownNameError: there is no such entity.
-            SceneError: it is no free body.
+            SceneError: it is no free body, and no joints of its own bring it there.
         """
         if name not in self._bodies:
             raise unknown_name("entity", name, self._bodies)
-        if name not in self._free:
+        place = compose(self._base, pose)
+        if name in self._free:
+            self._set_free(self._free[name], np.stack([place] * 3))
+        elif name in self._articulated:
+            self._hang(name, place)
+        else:
             raise SceneError(f"{name!r} is no free body; only free bodies can be placed")
-        self._set_free(self._free[name], np.stack([compose(self._base, pose)] * 3))
         self._forward()
+
+    def _hang(self, name: str, pose: np.ndarray) -> None:
+        """Bring an articulated body to a pose (7,) in the world, at rest, with all others where they are."""
+        poses = np.array([self._world_pose(body) for body in self._articulated.values()])
+        poses[[*self._articulated].index(name)] = pose
+        self._solver.solve(self.data, poses)
+        self.data.qvel[self._solver.dofs] = 0.0
 
     # Steps and what they show -------------------------------------------------------------------------------------
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from pwm_gym.errors import PwmGymError
 
-__all__ = ["RoboticsWorld", "World", "XmlWorld"]
+__all__ = ["RoboticsWorld", "World", "XmlWorld", "make_environment"]
 
 _NO_TIME_LIMIT = 1_000_000  # the package's environments own their limits
 
@@ -144,7 +144,7 @@ class RoboticsWorld:
     """
 
     def __init__(self, env_id: str) -> None:
-        self._env = _make(env_id)
+        self._env = make_environment(env_id)
         for name in ("model", "data", "goal", "initial_qpos"):
             if not hasattr(self._env, name):
                 raise PwmGymError(f"{env_id} has no {name!r}; expected a goal environment of Gymnasium-Robotics")
@@ -196,7 +196,8 @@ def _load(xml: str | Path) -> Any:
         raise PwmGymError(f"MuJoCo cannot read the model: {error}") from error
 
 
-def _make(env_id: str) -> Any:
+def make_environment(env_id: str) -> Any:
+    """An environment of Gymnasium-Robotics, without wrappers and time limit."""
     import gymnasium as gym
 
     with redirect_stderr(StringIO()):  # it prints a note on Adroit's rewards
