@@ -21,7 +21,7 @@ class HandReach:
 
     arm: Forearm
     gain: float
-    """Share of the way that is asked for."""
+    """How many times the way is asked for: weak drives go a part of it in a step, and sag under weights."""
 
     @staticmethod
     def place(poses: np.ndarray) -> np.ndarray:

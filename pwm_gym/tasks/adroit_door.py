@@ -74,7 +74,7 @@ class AdroitDoorExplorer:
     def sample(cls, rng: np.random.Generator) -> AdroitDoorExplorer:
         """Explorer of a random way."""
         pull = np.array([rng.uniform(-0.2, 0.1), rng.uniform(-0.4, 0.0), rng.uniform(-0.3, 0.05)])
-        reach = HandReach(DOOR_ARM, rng.uniform(0.2, 1.0))
+        reach = HandReach(DOOR_ARM, rng.uniform(2.5, 5.0))
         return cls(reach, rng.normal(0.0, 0.03, 3), rng.uniform(-1.0, 1.0, 2), pull, rng.uniform(-0.2, 1.0))
 
     def act(self, poses: np.ndarray, goal: np.ndarray, assets: Sequence[str] = ()) -> np.ndarray:

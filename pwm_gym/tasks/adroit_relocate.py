@@ -73,7 +73,7 @@ class AdroitRelocateExplorer:
     @classmethod
     def sample(cls, rng: np.random.Generator) -> AdroitRelocateExplorer:
         """Explorer of a random way."""
-        reach = HandReach(RELOCATE_ARM, rng.uniform(0.2, 1.0))
+        reach = HandReach(RELOCATE_ARM, rng.uniform(2.5, 5.0))
         return cls(reach, rng.normal(0.0, [0.02, 0.02, 0.01]), rng.uniform(-1.0, 1.0, 2), rng.uniform(0.4, 1.0))
 
     def act(self, poses: np.ndarray, goal: np.ndarray, assets: Sequence[str] = ()) -> np.ndarray:
