@@ -6,23 +6,41 @@ import importlib
 import re
 from collections import Counter
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import gymnasium as gym
 import pytest
 
 import pwm_gym
+from pwm_gym.collection import CollectConfig
 from pwm_gym.costs import COSTS, GRASPS, SUCCESSES, get_cost
+from pwm_gym.planning import execute
 from pwm_gym.tasks import TASKS
 
 ROOT = Path(__file__).parents[1]
 PAGES = sorted(path.relative_to(ROOT).as_posix() for path in [*ROOT.glob("*.md"), *ROOT.glob("docs/*.md")])
 
 
-def run_page(page):
-    """Names that the Python blocks of a page define, run one after the other."""
+def code_of(page):
+    """The Python blocks of a page."""
     blocks = re.findall(r"```python\n(.*?)```", (ROOT / page).read_text(), re.S)
     assert blocks
+    return blocks
+
+
+def run_page(page, small=None):
+    """Names that the Python blocks of a page define, run one after the other.
+
+    Args:
+        page: its path.
+        small: line that takes the place of the one that sets the page's numbers.
+    """
+    blocks = code_of(page)
+    if small is not None:
+        name = small.partition("=")[0]
+        blocks, counts = zip(*(re.subn(rf"^{re.escape(name)}=.*$", small, b, flags=re.M) for b in blocks), strict=True)
+        assert sum(counts) == 1
     namespace: dict = {"__name__": "page"}
     for block in blocks:
         exec(compile(block, page, "exec", dont_inherit=True), namespace)
@@ -100,6 +118,19 @@ def test_the_page_of_agents_trains_one_and_ranks_others(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     names = run_page("docs/agents.md")
     assert names["took"]["steps"] >= 64 and names["table"]["policies"] == 2
+
+
+def test_a_strangers_xml_becomes_data_a_model_and_a_plan(monkeypatch, tmp_path, kept_registries):
+    monkeypatch.chdir(tmp_path)
+    page = "docs/own_mujoco_task.md"
+    small = "EPISODES, PHASES, SEEDS = 2, ((1, 6, 8), (5, 1, 8)), range(400_000, 400_001)"
+    monkeypatch.setattr("pwm_gym.collection.CollectConfig", partial(CollectConfig, held_out=1))
+    monkeypatch.setattr("pwm_gym.planning.execute", lambda *args, max_steps: execute(*args, max_steps=3))
+    names = run_page(page, small)
+    assert names["agent"].task is TASKS["PushBox"] and names["runs"][0].steps == 3
+    assert (tmp_path / "runs/PushBox/checkpoint").is_dir()
+    lines = [line for block in code_of(page) for line in block.splitlines() if line.strip()]
+    assert len(lines) < 60
 
 
 def test_a_sequence_of_ones_own_goes_from_stage_to_stage(kept_registries):

@@ -11,6 +11,7 @@ FOLDER = Path(__file__).parent.parent / "examples"
 TINY = {
     "compare_twins.py": ("--steps 10", "step  10  Chamfer L1"),
     "custom_cost.py": ("--steps 2 --samples 8", "step   1"),
+    "own_mujoco_task.py": ("--episodes 2 --steps 7 --plans 1 --max-steps 2", "of 1 boxes reached their goals"),
     "plan_from_frame.py": ("--steps 1 --completer hull", "step 0  action"),
     "plan_pick_cube.py": ("--steps 2 --samples 8 --horizon 2", "step   0  reward 0."),
     "train_sac.py": ("--steps 40 --num-envs 2 --episodes 1 --episode-steps 3", "return in the simulator"),

@@ -1,6 +1,6 @@
 """Point-cloud costs, success rules and grasp rules, by name."""
 
-from pwm_gym.costs import contacts, drawers, lids, motion, objects, sequences, shaped, terms
+from pwm_gym.costs import contacts, doors, drawers, lids, motion, objects, sequences, shaped, terms
 from pwm_gym.costs.registry import (
     COSTS,
     GRASPS,
@@ -31,6 +31,7 @@ __all__ = [
     "StagedCost",
     "contacts",
     "cost_info",
+    "doors",
     "drawers",
     "get_cost",
     "get_grasp",

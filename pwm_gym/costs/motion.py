@@ -11,7 +11,7 @@ from torch import Tensor
 from pwm_gym.costs.contacts import Points, centre
 from pwm_gym.robots.speeds import JointSpeeds
 
-__all__ = ["angular_velocity", "joint_speed", "speed", "spin"]
+__all__ = ["angular_velocity", "hinge_speeds", "joint_speed", "speed", "spin"]
 
 
 def speed(velocity: Points, name: str) -> Tensor:
@@ -37,6 +37,19 @@ def angular_velocity(points: Points, velocity: Points, name: str) -> Tensor:
     trace = square.diagonal(dim1=-2, dim2=-1).sum(-1)[..., None, None]
     inertia = trace * eye - square
     return torch.linalg.solve(inertia + 1e-9 * eye, momentum)
+
+
+def hinge_speeds(points: Points, velocity: Points, parents: Mapping[str, str | None]) -> Tensor:
+    """Sum (B,) of the squared speeds of hinges, radians a step: each is the turn of an entity against its parent's.
+
+    Args:
+        points: clouds.
+        velocity: metres a step.
+        parents: entity -> its parent; None is the world.
+    """
+    turns = {name: angular_velocity(points, velocity, name) for name in {*parents, *filter(None, parents.values())}}
+    against = [turns[name] - turns[parent] if parent else turns[name] for name, parent in parents.items()]
+    return torch.stack(against).square().sum((0, -1))
 
 
 def joint_speed(points: Points, info: Mapping[str, Any], arm: JointSpeeds, order: float = torch.inf) -> Tensor:

@@ -269,3 +269,9 @@ def _element(info: Info, b: int) -> dict[str, Any]:
         "joints": None if info["joints"] is None else info["joints"][b],
         "extra": {"goal_pos": info["extra"]["goal_pos"][b].tolist()},
     }
+
+
+@register_grasp("nothing")
+def _nothing(points: Points, info: Info) -> Tensor:
+    """Nothing is ever held: of robots without a gripper."""
+    return torch.zeros(len(info["action"]), dtype=torch.bool, device=info["action"].device)

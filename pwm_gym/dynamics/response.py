@@ -1,7 +1,8 @@
 """A robot's linear response to actions: a second-order autoregression with exogenous input (ARX).
 
 A hand's next twist is linear in its two last twists and the action, with no constant: at rest and without a command
-it rests. A driven joint's next speed is linear in the joints' positions, their two last speeds and the action.
+it rests. Where actions are targets of the joints behind it, it is linear in the hand's pose, too, and has a constant.
+A driven joint's next speed is linear in the joints' positions, their two last speeds and the action.
 """
 
 from __future__ import annotations
@@ -11,10 +12,11 @@ from torch import Tensor, nn
 
 from pwm_gym.robots.joints import JointTree
 from pwm_gym.scene import Layout
-from pwm_gym.scene.se3 import motion_vector
+from pwm_gym.scene.se3 import make_pose, motion_vector
 
 __all__ = ["LinearResponse", "twist", "twists"]
 
+_POSE = 7  # features: place, turn and a constant
 _RIDGE = 1e-6  # of the mean squared feature: only to keep the normal equations solvable
 
 
@@ -35,34 +37,45 @@ class LinearResponse(nn.Module):
     Args:
         links: the robot's entities (:meth:`~pwm_gym.scene.Layout.robot`).
         action_size: A.
+        targets: whether actions tell the joints behind a hand where to be.
     """
 
     hand_weight: Tensor
+    hand_rest: Tensor
     joint_weight: Tensor
     reach: Tensor
 
-    def __init__(self, links: Layout, action_size: int) -> None:
+    def __init__(self, links: Layout, action_size: int, targets: bool = False) -> None:
         super().__init__()
         self.hands = list(links.hands)
         self.tree = JointTree(links, [i for i, e in enumerate(links) if e.joint.moves], links.attached)
         joints, hands = len(self.tree), len(self.hands)
-        self.register_buffer("hand_weight", torch.zeros(hands, 12 + action_size, 6))
+        self._targets = targets
+        features = 12 + action_size
+        if targets:
+            features += _POSE
+            self.register_buffer("hand_rest", torch.eye(4).repeat(hands, 1, 1))
+        self.register_buffer("hand_weight", torch.zeros(hands, features, 6))
         self.register_buffer("joint_weight", torch.zeros(3 * joints + action_size + 1, joints))
         self.register_buffer("reach", torch.tensor([[torch.inf, -torch.inf, torch.inf]]).repeat(hands, 1))
 
     def hand_features(self, frames: Tensor, action: Tensor) -> Tensor:
-        """(B, H, 12 + A): the hands' two last world-frame twists, and the action.
+        """(B, H, 12 + A): the hands' two last world-frame twists, and the action; of targets (B, H, 19 + A).
 
         Args:
             frames: poses (B, 3, L, 4, 4) of the links at t, t-1, t-2.
             action: (B, A).
         """
         moves = twists(frames[:, :, self.hands].transpose(1, 2)).flatten(-2)
-        return torch.cat([moves, action.unsqueeze(1).expand(-1, len(self.hands), -1)], -1)
+        features = [moves, action.unsqueeze(1).expand(-1, len(self.hands), -1)]
+        if self._targets:
+            place = twist(self.hand_rest.to(frames), frames[:, 0, self.hands])
+            features += [place, torch.ones_like(place[..., :1])]
+        return torch.cat(features, -1)
 
     def joint_features(self, positions: Tensor, action: Tensor) -> Tensor:
         """(B, 3 S + A + 1): joint positions and two speeds of (B, 3, S), the action and a constant."""
-        speeds = positions[..., :2, :] - positions[..., 1:, :]
+        speeds = self.tree.between(positions[..., 1:, :], positions[..., :2, :])
         one = action.new_ones(*action.shape[:-1], 1)
         return torch.cat([positions[..., 0, :], speeds.flatten(-2), action, one], -1)
 
@@ -96,14 +109,23 @@ class LinearResponse(nn.Module):
             position = following[:, self.hands][..., :3, 3]
             radius, height = position[..., :2].norm(dim=-1), position[..., 2]
             self.reach.copy_(torch.stack([radius.amax(0), height.amin(0), height.amax(0)], -1))
+            if self._targets:
+                self.hand_rest.copy_(_middle(following[:, self.hands]))
             target = twists(after[:, :, self.hands].transpose(1, 2))[:, :, 0]
             features = self.hand_features(frames, action)
             weights = [_least_squares(features[:, h], target[:, h]) for h in range(len(self.hands))]
             self.hand_weight.copy_(torch.stack(weights))
         if len(self.tree):
             positions = self.tree.positions(frames)
-            speeds = self.tree.positions(following) - positions[:, 0]
+            speeds = self.tree.between(positions[:, 0], self.tree.positions(following))
             self.joint_weight.copy_(_least_squares(self.joint_features(positions, action), speeds))
+
+
+def _middle(poses: Tensor) -> Tensor:
+    """Mean poses (H, 4, 4) of poses (B, H, 4, 4)."""
+    u, _, v = torch.linalg.svd(poses[..., :3, :3].mean(0))
+    u = torch.cat([u[..., :2], u[..., 2:] * torch.linalg.det(u @ v)[..., None, None]], -1)
+    return make_pose(u @ v, poses[..., :3, 3].mean(0))
 
 
 def _least_squares(features: Tensor, target: Tensor) -> Tensor:

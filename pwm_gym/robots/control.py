@@ -163,6 +163,11 @@ class Control:
         """Kind of each component (A,)."""
         return tuple(c.kind for c in self.channels for _ in range(c.start, c.stop))
 
+    @property
+    def drives_to_targets(self) -> bool:
+        """Whether actions tell joints that move links where to be, rather than how to move."""
+        return any(c.rest is None for c in self.of_kind("joint"))
+
     def rest(self) -> tuple[float, ...]:
         """Action (A,) that asks for nothing; 0 where that depends on the last action."""
         return tuple(c.rest or 0.0 for c in self.channels for _ in range(c.start, c.stop))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import torch
@@ -19,6 +20,8 @@ from pwm_gym.scene.se3 import (
 )
 
 __all__ = ["JointTree"]
+
+_TURN = 2.0 * math.pi  # radians
 
 
 class JointTree(nn.Module):
@@ -106,7 +109,16 @@ class JointTree(nn.Module):
             return sliding
         rotation = turned @ child[..., :3, :3]
         angle = torch.atan2((self.sines * rotation).sum((-1, -2)), (self.cosines * rotation).sum((-1, -2)))
+        middle = 0.5 * (self.lower + self.upper)  # of several turns that a pose may mean, the one nearest to it
+        angle = angle + _TURN * ((middle - angle) / _TURN).round()
         return torch.where(self.revolute, angle, sliding)
+
+    def between(self, before: Tensor, after: Tensor) -> Tensor:
+        """Ways (..., S) from joint positions to others, of angles the shorter way round."""
+        way = after - before
+        if not self._turns:
+            return way
+        return torch.where(self.revolute, way - _TURN * (way / _TURN).round(), way)
 
     def _parents(self, poses: Tensor) -> Tensor:
         """Parents' poses (..., S, 4, 4); the identity for the world."""

@@ -4,6 +4,7 @@ from pwm_gym.skills.brew import Brew
 from pwm_gym.skills.carry import Carry
 from pwm_gym.skills.clean_up import CleanUp
 from pwm_gym.skills.grasp import TopGrasp
+from pwm_gym.skills.hand_reach import HandReach
 from pwm_gym.skills.motion import downward_turn, drive, servo, side_yaw, tool_pose, yaw_error
 from pwm_gym.skills.object_grasps import Grasp, ObjectGrasps, find_grasps
 from pwm_gym.skills.open_drawer import OpenDrawer
@@ -20,6 +21,7 @@ __all__ = [
     "Carry",
     "CleanUp",
     "Grasp",
+    "HandReach",
     "ObjectGrasps",
     "OpenDrawer",
     "PickObject",

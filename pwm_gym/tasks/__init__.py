@@ -11,12 +11,17 @@ from pwm_gym.tasks import (
 
 # isort: split
 from pwm_gym.tasks import fetch_pick_and_place, fetch_push, fetch_reach, fetch_slide
+
+# isort: split
+from pwm_gym.tasks import adroit_door, adroit_relocate
 from pwm_gym.tasks.registry import TASKS, Expert, Task, get_task, register_task
 
 __all__ = [
     "TASKS",
     "Expert",
     "Task",
+    "adroit_door",
+    "adroit_relocate",
     "coffee",
     "coffee_preparation",
     "fetch_pick_and_place",

@@ -47,7 +47,7 @@ class Task:
     """Registered cost that planners use by default."""
     success: str
     """Registered success rule."""
-    grasp: str
+    grasp: str = "nothing"
     """Registered grasp rule."""
     planner: str = "mppi"
     """Registered planner that plans it by default."""

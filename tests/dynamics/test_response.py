@@ -141,3 +141,27 @@ def test_links_of_any_order_have_the_same_response(worlds):
     a.fit(frames, actions, following)
     b.fit(frames[:, :, [1, 0, 2]], actions, following[:, [1, 0, 2]])
     torch.testing.assert_close(a.hand_weight, b.hand_weight)
+
+
+def test_a_hand_that_is_told_where_to_be_goes_there(worlds):
+    """Each component draws the hand to a place along one axis, or to an angle about it."""
+    hand = worlds["unknown arm"].layout.robot()
+    rng = torch.Generator().manual_seed(0)
+    actions = torch.rand(400, 6, generator=rng, dtype=torch.float64) * 2 - 1
+    targets = actions * torch.tensor([0.2, 0.2, 0.2, 0.1, 0.1, 0.1])
+    places = [torch.zeros(6, dtype=torch.float64)] * 3
+    for target in targets:
+        speed = places[-1] - places[-2]
+        places.append(places[-1] + 0.4 * speed + 0.2 * (target - places[-1]))
+    every = torch.stack(places)
+    poses = make_pose(rotation_from_vector(every[:, 3:]), every[:, :3]).float().unsqueeze(1)
+    frames = torch.stack([poses[2:-1], poses[1:-2], poses[:-3]], 1)
+    misses = {}
+    for told in (False, True):
+        response = LinearResponse(hand, 6, targets=told)
+        response.fit(frames, actions.float(), poses[3:])
+        found = response.hand_twists(frames, actions.float())[:, 0]
+        misses[told] = float(
+            (found - twists(torch.stack([poses[3:], poses[2:-1], poses[1:-2]], 1)[:, :, 0])[:, 0]).norm()
+        )
+    assert misses[True] < 0.05 * misses[False]

@@ -27,7 +27,7 @@ from pwm_gym.envs import ModelEnv, ModelVectorEnv, SimEnv
 from pwm_gym.tasks import TASKS
 
 EVERY = sorted(i for i in gym.registry if i.startswith("pwm/"))
-FIRST = {task.robot.name: task.name for task in reversed(TASKS.values())}  # of each robot
+FIRST = {task.robot.name.partition("_")[0]: task.name for task in reversed(TASKS.values())}  # of each family of robots
 
 
 def chosen(kinds: tuple[str, ...]) -> list:

@@ -156,3 +156,18 @@ def test_what_is_attached_stays_rigid_for_thousands_of_steps():
         poses = tree.place(moved, torch.zeros(0), poses)
     assert poses[1, :3, 3].norm() == pytest.approx(0.1, abs=1e-3)
     torch.testing.assert_close(poses[1, :3, :3] @ poses[1, :3, :3].T, torch.eye(3), atol=1e-3, rtol=0)
+
+
+def test_a_hinge_beyond_half_a_turn_is_told_from_one_that_is_a_turn_back():
+    wide = {"crank": Joint("revolute", axis=(0.0, 0.0, 1.0), lower=-0.5, upper=4.0)}
+    tree = JointTree(Layout.build([("crank", 3)], joints=wide), [0])
+    q = torch.tensor([[-0.4], [1.0], [3.0], [3.9]])
+    placed = tree.place(torch.eye(4).expand(4, 1, 4, 4), q)
+    torch.testing.assert_close(tree.positions(placed), q, atol=1e-5, rtol=0)
+
+
+def test_the_way_between_two_angles_is_the_shorter_one():
+    joints = {"wheel": Joint("revolute", lower=-10.0, upper=10.0), "rail": Joint("prismatic", lower=-9.0, upper=9.0)}
+    tree = JointTree(Layout.build([(name, 3) for name in joints], joints=joints), [0, 1])
+    before, after = torch.tensor([3.1, -4.0]), torch.tensor([-3.1, 4.0])
+    torch.testing.assert_close(tree.between(before, after), torch.tensor([2 * np.pi - 6.2, 8.0]).float())

@@ -57,7 +57,7 @@ class LinearBaseline(Still):
 
     def __init__(self, layout: Layout, control: Control | None = None, config: BaselineConfig | None = None) -> None:
         super().__init__(layout, control, config)
-        self.response = LinearResponse(self.links, self.action_size)
+        self.response = LinearResponse(self.links, self.action_size, self.control.drives_to_targets)
 
     def fit_response(self, transitions: Transitions, arm_steps: int) -> None:
         """Fit the linear response on single steps."""

@@ -37,8 +37,8 @@ from pwm_gym.scene.se3 import inverse, make_pose
 
 __all__ = ["CompactConfig", "CompactModel"]
 
-# Scales that bring features to order 1; metres, radians, per step where it is a motion.
-_LENGTH, _OPENING, _OPENING_STEP = 0.1, 0.01, 0.005
+# Scale that brings lengths to order 1, metres.
+_LENGTH = 0.1
 _GRAVITY = 9.81
 _PLANS = 32  # layouts that are remembered
 
@@ -289,15 +289,16 @@ class CompactModel(nn.Module):
         ahead = ahead.unflatten(1, (len(hands), 2)) / self.motion_units[:2]
         height = (origin[:, 2:] - plan.floor).clamp(-1.0, 1.0)
         positions = forecast.positions
+        speeds = self.robot.response.tree.between(positions[:, 1:], positions[:, :2])
         shared = torch.cat(
             [
                 base.squeeze(1) / _LENGTH,
                 frame[:, 2, :3],
                 height / _LENGTH,
                 torch.cat([motion[:, hands], ahead], 2).flatten(1),
-                positions[:, 0] / _OPENING,
-                (positions[:, :2] - positions[:, 1:]).flatten(1) / _OPENING_STEP,
-                forecast.joint_step / _OPENING_STEP,
+                positions[:, 0] / self.robot.position_units,
+                (speeds / self.robot.step_units).flatten(1),
+                forecast.joint_step / self.robot.step_units,
             ],
             1,
         )

@@ -18,8 +18,8 @@ from pwm_gym.scene.se3 import make_pose, rotation_from_vector
 
 __all__ = ["RobotForecast", "RobotMotion"]
 
-_SLIDE = 0.005  # metres (radians: ten times as many) of a learned joint step that count as 1
-_TURN = 0.05
+_POSITION, _ANGLE = 0.01, 1.0  # metres, and radians, of a driven joint's position that count as 1
+_SLIDE, _TURN = 0.005, 0.05  # the same of its step
 
 
 @dataclass(frozen=True)
@@ -51,9 +51,13 @@ class RobotMotion(nn.Module):
         kinematic: whether known chains are used, of the arms whose tool is what actions translate.
     """
 
+    position_units: Tensor
+    step_units: Tensor
+
     def __init__(self, links: Layout, control: Control, width: int, arm_width: int, kinematic: bool) -> None:
         super().__init__()
-        self.response = LinearResponse(links, control.size)
+        self.response = LinearResponse(links, control.size, control.drives_to_targets)
+        self._targets = control.drives_to_targets
         self.hands, self.count = list(links.hands), len(links)
         steered = [arm for arm in control.arms if control.channel(arm.name, "translation")]  # not joint by joint
         arms = {arm.hand: arm for arm in steered if kinematic and arm.chain is not None}
@@ -82,7 +86,10 @@ class RobotMotion(nn.Module):
             nn.init.zeros_(head.bias)
         commands = [c.slice for c in control.of_kind("translation", "rotation", "joint")]
         self._commands = [k for part in commands for k in range(part.start, part.stop)]
-        self._moving = [e.joint.kind for e in links if e.joint.moves]
+        kinds = [e.joint.kind for e in links if e.joint.moves]
+        for name, slide, turn in (("position_units", _POSITION, _ANGLE), ("step_units", _SLIDE, _TURN)):
+            units = torch.tensor([slide if kind == "prismatic" else turn for kind in kinds])
+            self.register_buffer(name, units, persistent=False)
         self._scales = Scales()
 
     def observe(self, links: Tensor, joints: Tensor | None) -> Tensor | None:
@@ -192,10 +199,9 @@ class RobotMotion(nn.Module):
                 hands.append(arm.kinematics(angles))
             else:
                 hands.append(self._free_hand(k, links[:, :, hand], action, forecast.twists[:, k], learned, frame))
-        units = [_SLIDE if kind == "prismatic" else _TURN for kind in self._moving]
         tree, positions = self.response.tree, forecast.positions[:, 0] + forecast.joint_step
         if len(tree):
-            positions = positions + self.slide(tokens[:, tree.moving]).squeeze(-1) * tokens.new_tensor(units)
+            positions = positions + self.slide(tokens[:, tree.moving]).squeeze(-1) * self.step_units
         placed = self._placed(links[:, 0], torch.stack(hands, 1) if hands else forecast.hands, tree.limit(positions))
         return placed, torch.cat(found, -1) if found else None
 
@@ -206,8 +212,10 @@ class RobotMotion(nn.Module):
         turned = frame.transpose(1, 2)
         way = (learned[:, None, :3] @ turned).squeeze(1) * self._scales.translation
         turn = (learned[:, None, 3:] @ turned).squeeze(1) * self._scales.rotation
-        gate = _motion_gate(twists(frames), action[:, self._commands or slice(None)])
-        pose = _moved(frames[:, 0], moved + gate * torch.cat([way, turn], 1))
+        step = torch.cat([way, turn], 1)
+        if not self._targets:  # a target asks for motion wherever the hand is not there yet
+            step = _motion_gate(twists(frames), action[:, self._commands or slice(None)]) * step
+        pose = _moved(frames[:, 0], moved + step)
         position = self.response.confine(pose[:, None, :3, 3].expand(-1, len(self.hands), -1))[:, k]
         return make_pose(pose[:, :3, :3], position)
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from pwm_gym.errors import PwmGymError, SceneError, unknown_name
 from pwm_gym.robots.control import Control
@@ -14,6 +15,14 @@ from pwm_gym.scene import Scene
 from pwm_gym.scene.poses import compose, relative, rotation
 from pwm_gym.sim.mujoco.meshes import body_mesh, welded
 from pwm_gym.sim.mujoco.restore import JointSolver, place_mocaps, set_free_velocity
+from pwm_gym.sim.mujoco.structure import (
+    ancestors,
+    check_supported,
+    driven_roots,
+    hanging,
+    joint_type,
+    scalar_joints,
+)
 from pwm_gym.sim.mujoco.worlds import World, XmlWorld
 from pwm_gym.sim.protocol import SimOutcome
 
@@ -22,7 +31,6 @@ if TYPE_CHECKING:
 
 __all__ = ["MujocoSimulator"]
 
-_MOST_BODIES = 200
 _DIVERGED = ("mjWARN_BADQPOS", "mjWARN_BADQVEL", "mjWARN_BADQACC")
 _WORLD = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
 
@@ -32,6 +40,7 @@ class MujocoSimulator:
 
     Each control step begins with a cold solver, and positions are read after the step's last instant: the future
     depends on nothing that a scene does not tell. Robots are trees of bodies that an actuator or a mocap body drives.
+    An entity's frame is its body's, moved onto the axis of the hinge on which it hangs where that passes beside it.
 
     Args:
         world: steps the model.
@@ -42,9 +51,10 @@ class MujocoSimulator:
         control: what the actions are taken to mean; its size and period are checked against the world's.
         visual: entities whose surface is that of geoms which collide with nothing.
         surfaces: entity name -> surface that is shown in the place of its geoms', in the body's frame (metres).
+        placed: entities fixed to the world whose place differs between episodes; a scene tells it.
 
     Raises:
-        UnknownNameError: a body that the model lacks, or a surface of no entity.
+        UnknownNameError: a body that the model lacks, or a surface or a place of no entity.
         PwmGymError: ``control`` is of another size or period, or the model has something that is not supported.
     """
 
@@ -58,20 +68,27 @@ class MujocoSimulator:
         control: Control | None = None,
         visual: Sequence[str] = (),
         surfaces: Mapping[str, trimesh.Trimesh] | None = None,
+        placed: Sequence[str] = (),
     ) -> None:
         self.world, self.model, self.data = world, world.model, world.data
         self.action_size = world.action_size
         self._bodies = dict(bodies)
         self._judge, self._visual = judge, tuple(visual)
         self._surfaces = dict(surfaces or {})
-        for name in self._surfaces:
+        self._placed = tuple(placed)
+        for name in (*self._surfaces, *self._placed):
             if name not in self._bodies:
                 raise unknown_name("entity", name, self._bodies)
-        _check_supported(self.model)
+        check_supported(self.model)
         if control is not None:
             self._check_control(control)
         self._ids = np.array([self._find(body) for body in self._bodies.values()])
         entities = {int(k) for k in self._ids}
+        for name, body in zip(self._bodies, self._ids, strict=True):
+            if name in self._placed and (self.model.body_parentid[body] or self.model.body_jntnum[body]):
+                raise PwmGymError(f"entity {name!r} is not fixed to the world; only such entities can be placed")
+        self._offsets = np.stack([hanging(self.model, int(k), entities).offset for k in self._ids])  # (E, 3)
+        self._offset = bool(self._offsets.any())
         self._groups = {
             name: [number for number, _ in welded(self.model, int(k), entities)]
             for name, k in zip(self._bodies, self._ids, strict=True)
@@ -116,16 +133,16 @@ class MujocoSimulator:
     def _bind(self, robot: str | None) -> None:
         """Sort the model's joints: the robot's, those of free bodies, and all others."""
         model = self.model
-        roots = _driven_roots(model) if robot is None else {self._find(robot)}
-        owned = {k for k in range(model.nbody) if roots & {*_ancestors(model, k)}}
+        roots = driven_roots(model) if robot is None else {self._find(robot)}
+        owned = {k for k in range(model.nbody) if roots & {*ancestors(model, k)}}
         mine = np.array([model.jnt_bodyid[k] in owned for k in range(model.njnt)], bool)
         self._links = {name for name, k in zip(self._bodies, self._ids, strict=True) if int(k) in owned}
-        self._robot = _scalar_joints(model, np.flatnonzero(mine))
-        free = np.flatnonzero(~mine & (model.jnt_type == _joint_type("FREE")))
+        self._robot = scalar_joints(model, np.flatnonzero(mine))
+        free = np.flatnonzero(~mine & (model.jnt_type == joint_type("FREE")))
         owner = {int(model.jnt_bodyid[k]): int(k) for k in free}
         places = zip(self._bodies, self._ids, strict=True)
         self._free = {name: owner[int(k)] for name, k in places if int(k) in owner}
-        others = np.flatnonzero(~mine & (model.jnt_type != _joint_type("FREE")))
+        others = np.flatnonzero(~mine & (model.jnt_type != joint_type("FREE")))
         self._bind_articulated({int(k) for k in others})
 
     def _bind_articulated(self, joints: set[int]) -> None:
@@ -136,17 +153,42 @@ class MujocoSimulator:
         self._articulated = {
             name: int(k)
             for name, k in zip(self._bodies, self._ids, strict=True)
-            if moved & {*_ancestors(model, int(k))} and name not in self._free
+            if moved & {*ancestors(model, int(k))} and name not in self._free
         }
         self._solver = JointSolver(model, np.array(dofs, int), tuple(self._articulated.values()))
+
+    @property
+    def bodies(self) -> dict[str, str]:
+        """Entity name -> body."""
+        return dict(self._bodies)
+
+    @property
+    def links(self) -> frozenset[str]:
+        """Names of the entities that the robot drives."""
+        return frozenset(self._links)
+
+    @property
+    def base(self) -> np.ndarray:
+        """Pose (7,) of the public frame in MuJoCo's world."""
+        return self._base.copy()
+
+    def body_id(self, name: str) -> int:
+        """MuJoCo's number of an entity's body."""
+        return int(self._ids[[*self._bodies].index(name)])
+
+    def geoms(self) -> frozenset[int]:
+        """MuJoCo's numbers of the geoms that belong to entities."""
+        owned = [body for group in self._groups.values() for body in group]
+        return frozenset(np.flatnonzero(np.isin(self.model.geom_bodyid, owned)).tolist())
 
     def meshes(self) -> dict[str, trimesh.Trimesh]:
         """Surfaces of the entities, in each entity's own frame (metres)."""
         entities = {int(k) for k in self._ids}
-        return {
-            name: self._surfaces.get(name) or body_mesh(self.model, int(k), entities, name in self._visual)
-            for name, k in zip(self._bodies, self._ids, strict=True)
-        }
+        found = {}
+        for name, k, offset in zip(self._bodies, self._ids, self._offsets, strict=True):
+            mesh = self._surfaces.get(name) or body_mesh(self.model, int(k), entities, name in self._visual)
+            found[name] = mesh.copy().apply_translation(-offset) if offset.any() else mesh
+        return found
 
     def assets(self) -> tuple[str, ...]:
         """Name of each entity (E,): what they look like is always the same."""
@@ -172,7 +214,11 @@ class MujocoSimulator:
         """
         joints = self._check_scene(scene)
         poses = np.array([[compose(self._base, pose) for pose in step] for step in scene.poses])  # (3, E, 7)
+        poses[..., :3] -= self._shifts(poses[..., 3:])
         self.world.clear()
+        for name in self._placed:
+            row = [*self._bodies].index(name)
+            self.model.body_pos[self._ids[row]], self.model.body_quat[self._ids[row]] = np.split(poses[0, row], [3])
         self._set_robot(joints)
         self._set_articulated(poses)
         for name, joint in self._free.items():
@@ -220,14 +266,25 @@ class MujocoSimulator:
 
         Raises:
             UnknownNameError: there is no such entity.
-            SceneError: it is no free body.
+            SceneError: it is no free body, and no joints of its own bring it there.
         """
         if name not in self._bodies:
             raise unknown_name("entity", name, self._bodies)
-        if name not in self._free:
+        place = compose(self._base, pose)
+        if name in self._free:
+            self._set_free(self._free[name], np.stack([place] * 3))
+        elif name in self._articulated:
+            self._hang(name, place)
+        else:
             raise SceneError(f"{name!r} is no free body; only free bodies can be placed")
-        self._set_free(self._free[name], np.stack([compose(self._base, pose)] * 3))
         self._forward()
+
+    def _hang(self, name: str, pose: np.ndarray) -> None:
+        """Bring an articulated body to a pose (7,) in the world, at rest, with all others where they are."""
+        poses = np.array([self._world_pose(body) for body in self._articulated.values()])
+        poses[[*self._articulated].index(name)] = pose
+        self._solver.solve(self.data, poses)
+        self.data.qvel[self._solver.dofs] = 0.0
 
     # Steps and what they show -------------------------------------------------------------------------------------
 
@@ -267,16 +324,29 @@ class MujocoSimulator:
         """Reward, success and grasp of the present instant."""
         return SimOutcome(0.0, False, False) if self._judge is None else self._judge(self)
 
-    def poses(self) -> np.ndarray:
-        """Entity poses (E, 7) in the base's frame."""
-        places = (self.data.xpos[self._ids] - self._base[:3]) @ self._base_matrix
-        turns = self.data.xquat[self._ids] @ self._base_product.T
+    def poses(self, data: Any = None) -> np.ndarray:
+        """Entity poses (E, 7) in the base's frame, at present or as other ``data`` of the model has them."""
+        data = self.data if data is None else data
+        places = data.xpos[self._ids] + self._shifts(data.xquat[self._ids])
+        places = (places - self._base[:3]) @ self._base_matrix
+        turns = data.xquat[self._ids] @ self._base_product.T
         turns[turns[:, 0] < 0.0] *= -1.0
         return np.concatenate([places, turns], -1)
 
     def pose(self, name: str) -> np.ndarray:
         """Pose (7,) of one entity in the base's frame."""
-        return relative(self._base, self._world_pose(int(self._ids[[*self._bodies].index(name)]))[None])[0]
+        row = [*self._bodies].index(name)
+        pose = self._world_pose(int(self._ids[row]))
+        pose[:3] += rotation(pose).apply(self._offsets[row])
+        return relative(self._base, pose[None])[0]
+
+    def _shifts(self, turns: np.ndarray) -> np.ndarray:
+        """Way (..., E, 3) from the bodies' origins to the entities', in the world, of turns (..., E, 4)."""
+        if not self._offset:
+            return np.zeros((*turns.shape[:-1], 3))
+        flat = Rotation.from_quat(turns.reshape(-1, 4), scalar_first=True)
+        offsets = np.tile(self._offsets, (len(flat) // len(self._offsets), 1))
+        return flat.apply(offsets).reshape(*turns.shape[:-1], 3)
 
     def _world_pose(self, body: int) -> np.ndarray:
         return np.concatenate([self.data.xpos[body], self.data.xquat[body]])
@@ -316,68 +386,3 @@ def _product_with_inverse(quaternion: np.ndarray) -> np.ndarray:
     """Matrix (4, 4) that multiplies a quaternion, from the left, by the inverse of a unit ``quaternion`` (4,)."""
     w, x, y, z = quaternion
     return np.array([[w, x, y, z], [-x, w, z, -y], [-y, -z, w, x], [-z, y, -x, w]])
-
-
-def _joint_type(name: str) -> int:
-    import mujoco
-
-    return int(getattr(mujoco.mjtJoint, f"mjJNT_{name}"))
-
-
-def _scalar_joints(model: Any, joints: np.ndarray) -> np.ndarray:
-    """Numbers (J,) of the robot's joints, all of one degree of freedom."""
-    for joint in joints.tolist():
-        if model.jnt_type[joint] not in (_joint_type("SLIDE"), _joint_type("HINGE")):
-            name = model.joint(joint).name or f"number {joint}"
-            raise PwmGymError(f"the robot's joint {name!r} is free or a ball; expected slides and hinges")
-    return joints
-
-
-def _ancestors(model: Any, body: int) -> list[int]:
-    """A body and those that it hangs on, without the world."""
-    found = []
-    while body > 0:
-        found.append(int(body))
-        body = int(model.body_parentid[body])
-    return found
-
-
-def _driven_roots(model: Any) -> set[int]:
-    """Outermost moving bodies of the trees that an actuator or a mocap body drives."""
-    import mujoco
-
-    driven = [body for k in range(model.nu) for body in _actuated(model, k)]
-    for k in np.flatnonzero(model.eq_type == int(mujoco.mjtEq.mjEQ_WELD)):
-        pair = int(model.eq_obj1id[k]), int(model.eq_obj2id[k])
-        if any(model.body_mocapid[b] >= 0 for b in pair):
-            driven += [b for b in pair if model.body_mocapid[b] < 0]
-    moving = ([b for b in _ancestors(model, body) if model.body_jntnum[b]] for body in driven)
-    return {bodies[-1] for bodies in moving if bodies}
-
-
-def _actuated(model: Any, actuator: int) -> list[int]:
-    """Bodies that an actuator drives, through a joint, a tendon, a site or directly."""
-    import mujoco
-
-    kinds, target = mujoco.mjtTrn, int(model.actuator_trnid[actuator, 0])
-    kind = int(model.actuator_trntype[actuator])
-    if kind in (int(kinds.mjTRN_JOINT), int(kinds.mjTRN_JOINTINPARENT)):
-        return [int(model.jnt_bodyid[target])]
-    if kind == int(kinds.mjTRN_TENDON):
-        first, count = int(model.tendon_adr[target]), int(model.tendon_num[target])
-        wraps = range(first, first + count)
-        joints = [k for k in wraps if model.wrap_type[k] == int(mujoco.mjtWrap.mjWRAP_JOINT)]
-        sites = [k for k in wraps if model.wrap_type[k] == int(mujoco.mjtWrap.mjWRAP_SITE)]
-        return [int(model.jnt_bodyid[model.wrap_objid[k]]) for k in joints] + [
-            int(model.site_bodyid[model.wrap_objid[k]]) for k in sites
-        ]
-    if kind == int(kinds.mjTRN_BODY):
-        return [target]
-    return [int(model.site_bodyid[target])] if kind == int(kinds.mjTRN_SITE) else []
-
-
-def _check_supported(model: Any) -> None:
-    if model.nbody > _MOST_BODIES:
-        raise PwmGymError(f"the model has {model.nbody} bodies; expected {_MOST_BODIES} at most")
-    if model.nflex:
-        raise PwmGymError(f"the model has a flexible body {model.flex(0).name!r}; expected rigid ones")

@@ -64,7 +64,7 @@ def body_mesh(model: Any, body: int, others: Collection[int] = (), visual: bool 
                 parts.append(mesh)
     if not parts:
         what = "visual geom" if visual else "geom that collides"
-        raise SceneError(f"body {model.body(body).name!r} has no {what} to sample points from")
+        raise SceneError(f"body {model.body(body).name!r} has no {what}, planes apart, to sample points from")
     if len(parts) > 1 and all(part.is_volume for part in parts):
         return trimesh.boolean.union(parts, engine="manifold")
     return trimesh.util.concatenate(parts)

@@ -12,7 +12,7 @@ import numpy as np
 
 from pwm_gym.errors import PwmGymError
 
-__all__ = ["RoboticsWorld", "World", "XmlWorld"]
+__all__ = ["RoboticsWorld", "World", "XmlWorld", "make_environment"]
 
 _NO_TIME_LIMIT = 1_000_000  # the package's environments own their limits
 
@@ -79,6 +79,8 @@ class XmlWorld:
         self.data = mujoco.MjData(self.model)
         self.period = float(self.model.opt.timestep) * frame_skip
         self.action_size = int(self.model.nu) if action_size is None else action_size
+        self.direct = act is None
+        """Whether actions span the actuators' ranges."""
         self._act = self._spread if act is None else act
         self._start, self._frame_skip = start, frame_skip
         self._goal = np.zeros(0)
@@ -142,7 +144,7 @@ class RoboticsWorld:
     """
 
     def __init__(self, env_id: str) -> None:
-        self._env = _make(env_id)
+        self._env = make_environment(env_id)
         for name in ("model", "data", "goal", "initial_qpos"):
             if not hasattr(self._env, name):
                 raise PwmGymError(f"{env_id} has no {name!r}; expected a goal environment of Gymnasium-Robotics")
@@ -194,7 +196,8 @@ def _load(xml: str | Path) -> Any:
         raise PwmGymError(f"MuJoCo cannot read the model: {error}") from error
 
 
-def _make(env_id: str) -> Any:
+def make_environment(env_id: str) -> Any:
+    """An environment of Gymnasium-Robotics, without wrappers and time limit."""
     import gymnasium as gym
 
     with redirect_stderr(StringIO()):  # it prints a note on Adroit's rewards
