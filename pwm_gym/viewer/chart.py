@@ -32,15 +32,16 @@ def new_figure(width: int, height: int) -> Figure:
     """An empty figure of so many pixels, which no window and no global state belongs to."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-    figure = Figure(figsize=(width / _DPI, height / _DPI), dpi=_DPI, layout="constrained")
+    layout = ConstrainedLayoutEngine(w_pad=0.1, wspace=0.03)
+    figure = Figure(figsize=(width / _DPI, height / _DPI), dpi=_DPI, layout=layout)
     FigureCanvasAgg(figure)
     return figure
 
 
 def chart_axes(figure: Figure, count: int) -> list[Axes]:
     """``count`` charts side by side, in the house's look: faint rules, no box, quiet ticks."""
-    figure.get_layout_engine().set(w_pad=0.1, wspace=0.03)
     found = figure.subplots(1, count, squeeze=False)[0]
     for axes in found:
         axes.grid(axis="y", color=RULE, linewidth=0.8)

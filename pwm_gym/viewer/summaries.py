@@ -14,7 +14,7 @@ from pwm_gym.viewer.palette import PREDICTED, TRUE
 __all__ = ["draw_calibration", "draw_growth", "draw_quartiles"]
 
 _TITLE = {"x": 0.02, "ha": "left", "fontsize": 12, "color": css(INK)}
-_TITLE_ROW = 40  # pixels
+_GAP, _TITLE_ROW = 20, 60  # pixels
 
 
 def draw_quartiles(panels: Mapping[str, np.ndarray], title: str, size: tuple[int, int] = (460, 300)) -> Image.Image:
@@ -26,7 +26,7 @@ def draw_quartiles(panels: Mapping[str, np.ndarray], title: str, size: tuple[int
         size: of one chart, pixels.
     """
     width, height = size
-    figure = new_figure(len(panels) * width, height + _TITLE_ROW)
+    figure = new_figure(len(panels) * (width + _GAP) + _GAP, height + _TITLE_ROW)
     figure.suptitle(title, **_TITLE)
     for axes, (name, (low, middle, high)) in zip(chart_axes(figure, len(panels)), panels.items(), strict=True):
         steps = np.arange(1, len(middle) + 1)
@@ -52,7 +52,7 @@ def draw_growth(
     width, height = size
     labels = list(dict.fromkeys(label for curves in panels.values() for label in curves))
     colors = dict(zip(labels, (PREDICTED, TRUE)[: len(labels)], strict=True))
-    figure = new_figure(len(panels) * width, height + _TITLE_ROW)
+    figure = new_figure(len(panels) * (width + _GAP) + _GAP, height + _TITLE_ROW)
     figure.suptitle(title, **_TITLE)
     for axes, (name, curves) in zip(chart_axes(figure, len(panels)), panels.items(), strict=True):
         for label, known in curves.items():
@@ -77,7 +77,7 @@ def draw_calibration(
         size: of the chart, pixels.
     """
     width, height = size
-    figure = new_figure(width + 40, height + _TITLE_ROW)
+    figure = new_figure(width + 2 * _GAP, height + _TITLE_ROW)
     figure.suptitle(title, **_TITLE)
     (axes,) = chart_axes(figure, 1)
     places = np.arange(1, len(bins) + 1)

@@ -73,7 +73,7 @@ def test_rigid_entities_are_sent_once_and_go_where_the_points_go(turning, page):
     sizes = told["binaryBufferLengths"]
     largest = max(sizes)
     assert sizes.count(largest) <= 2 and largest == 900 * 3 * 2  # once a world at most, 16 bits a number
-    assert place["dtype"] == "float16"
+    assert place["dtype"] == "<f2"
     turn = roma.unitquat_to_rotmat(torch.tensor(moves["SetOrientationMessage"][60]["wxyz"])[[1, 2, 3, 0]]).numpy()
     position = np.array(moves["SetPositionMessage"][60]["position"])
     centred = turning.true[0, :900] - turning.true[0, :900].mean(0)
