@@ -30,7 +30,7 @@ demo: $(VENV)/.package
 lint: $(VENV)/.package
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	cd tests && $(BIN)/mypy --config-file ../pyproject.toml -p pwm_gym -m pwm_gym_cli
+	cd tests && $(BIN)/mypy --config-file ../pyproject.toml -p pwm_gym
 
 test: lint
 	$(BIN)/pytest -n 2 --dist loadfile

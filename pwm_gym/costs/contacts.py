@@ -72,7 +72,7 @@ def once(term: Callable[Concatenate[Points, P], T]) -> Callable[Concatenate[Poin
     """
 
     @wraps(term)
-    def formed(points: Points, *args: P.args, **kwargs: P.kwargs) -> T:
+    def formed(points: Points, /, *args: P.args, **kwargs: P.kwargs) -> T:
         memo = getattr(points, "memo", None)
         if memo is None:
             return term(points, *args, **kwargs)

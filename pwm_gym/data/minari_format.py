@@ -115,7 +115,9 @@ def _write(sources: Mapping[str, Dataset], dataset_id: str, settings: Mapping[st
     dataset = next(iter(sources.values()))
     task, first = get_task(dataset.task), dataset.episodes[0]
     shapes = {"poses": first.poses.shape[1:], "joints": first.joints.shape[1:], "goal": first.goal.shape}
-    spaces = {name: gym.spaces.Box(-_SPAN, _SPAN, shape, np.float32) for name, shape in shapes.items()}
+    spaces: dict[str, gym.Space[Any]] = {
+        name: gym.spaces.Box(-_SPAN, _SPAN, shape, np.float32) for name, shape in shapes.items()
+    }
     combinations = _combinations(sources)
     rows = [(split, episode) for split, source in sources.items() for episode in source.episodes]
     buffers = [

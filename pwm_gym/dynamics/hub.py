@@ -175,7 +175,7 @@ def _library() -> Any:
 
 def _told(name: str, action: Callable[[], Any]) -> Any:
     """The result of something asked of the hub, whose many errors become one."""
-    from huggingface_hub.errors import HTTPError
+    from huggingface_hub.errors import HTTPError  # type: ignore[attr-defined]  # of its HTTP library
 
     try:
         return action()
