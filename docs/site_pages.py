@@ -62,7 +62,7 @@ def sections() -> dict[str, list[str]]:
         "index": [*_CARDS, "project/index"],
         "quick_start": ["troubleshooting"],
         "tasks/index": [*(f"tasks/{name}" for name in TASKS), "tasks", "environments"],
-        "tutorials": ["own_cost", "own_task", "mujoco", "own_camera", "train_model", "stages"],
+        "tutorials": ["own_cost", "own_task", "mujoco", "own_camera", "train_model", "train_agent", "stages"],
         "concepts": ["models", "completion", "ycb"],
         "results": ["performance"],
         "api/index": [f"api/{name}" for name in modules()],

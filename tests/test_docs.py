@@ -51,6 +51,13 @@ def test_a_frame_of_ones_own_camera_becomes_a_scene_and_a_plan(monkeypatch, tmp_
     assert names["action"].shape == (7,) and (tmp_path / "view.npz").exists()
 
 
+def test_an_agent_of_ones_own_learns_and_is_ranked(monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    names = run_page("docs/train_agent.md")
+    assert names["took"]["steps"] >= 128 and 0 < names["run"].steps <= 5
+    assert [row["name"] for row in names["table"]["rows"]] == ["trained", "still"]
+
+
 @pytest.fixture
 def kept_registries():
     """What a page registers is forgotten."""
