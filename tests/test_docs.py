@@ -182,6 +182,12 @@ def test_dead_links_of_a_built_site_are_found(docs, tmp_path):
     assert docs("check_links").dead_links(tmp_path) == ["b.html: a.html#gone", "b.html: no.png"]
 
 
+def test_bars_in_docstrings_are_text(docs):
+    escape = docs("docstrings").escape_bars
+    assert escape("the greatest |R_i - R_j| of them") == r"the greatest \|R_i - R_j\| of them"
+    assert escape("``int | None`` or ``str | None``") == "``int | None`` or ``str | None``"
+
+
 @pytest.mark.parametrize("page", PAGES)
 def test_pages_name_only_files_that_exist(page):
     for link in re.findall(r"\]\((?!http|#)([^)#\s]+)[^)]*\)", (ROOT / page).read_text()):
