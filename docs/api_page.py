@@ -46,6 +46,8 @@ _FURTHER = (
     "pwm_gym.sim.cabinet",
     "pwm_gym.sim.coffee_machine",
     "pwm_gym.sim.props",
+    "pwm_gym.agents.contestants",
+    "pwm_gym.agents.ranking",
     "pwm_gym.planning.adapters",
     "pwm_gym.planning.constraints",
     "pwm_gym.planning.sampling",

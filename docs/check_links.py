@@ -26,7 +26,8 @@ class Page(HTMLParser):
 
 def dead_links(site: Path) -> list[str]:
     """Page and link of everything inside the site that is not there, a file or an anchor."""
-    pages = {path.resolve(): Page(path) for path in site.rglob("*.html")}
+    found = [path for path in site.rglob("*.html") if "_static" not in path.parts]  # which has the theme's templates
+    pages = {path.resolve(): Page(path) for path in found}
     dead = []
     for path, page in pages.items():
         for link in page.links:

@@ -12,7 +12,7 @@ DOCS = Path(__file__).resolve().parent
 sys.path.insert(0, str(DOCS))
 
 from api_page import targets  # noqa: E402
-from docstrings import is_markdown, markdown_to_rst  # noqa: E402
+from docstrings import escape_bars, is_markdown, markdown_to_rst  # noqa: E402
 from site_pages import PROJECT, sections, toctree, write_pages  # noqa: E402
 
 import pwm_gym  # noqa: E402
@@ -95,8 +95,7 @@ def _as_a_page(app: Any, docname: str, source: list[str]) -> None:
 
 def _before_napoleon(app: Any, what: str, name: str, obj: Any, options: Any, lines: list[str]) -> None:
     """Turn Markdown to reStructuredText, and hide colons of an attribute's text, which napoleon takes for a type's."""
-    if is_markdown("\n".join(lines)):
-        lines[:] = markdown_to_rst(lines)
+    lines[:] = markdown_to_rst(lines) if is_markdown("\n".join(lines)) else [escape_bars(line) for line in lines]
     if what in ("attribute", "data", "property"):
         end = lines.index("") if "" in lines else len(lines)
         lines[:end] = [line.replace(":", _COLON) for line in lines[:end]]

@@ -8,6 +8,7 @@ import textwrap
 _SECTION = re.compile(r"^(Args|Raises|Returns|Yields|Example|Examples|Attributes|Version history):$")
 _ROLE = re.compile(r":(?:py:)?(?:class|func|meth|mod|attr|data|exc):`~?([^`]+)`")
 _ITEM = re.compile(r"^(\*{0,2}[\w, .`\"]+):\s(.*)$", re.S)
+_BARS = re.compile(r"\|(?=\S)([^|`]*\S)\|")
 _INLINE_BULLET = re.compile(r"(?<=\S) \* (?=`)")
 
 
@@ -73,6 +74,11 @@ def markdown_at(text: str, level: int) -> str:
     """A Markdown docstring whose headings begin at ``level``, with a line for each bullet."""
     deeper = re.sub(r"^## ", "#" * level + " ", plain(text), flags=re.M)
     return _INLINE_BULLET.sub("\n* ", deeper)
+
+
+def escape_bars(line: str) -> str:
+    """A line whose ``|x|`` reStructuredText does not take for a substitution."""
+    return _BARS.sub(r"\\|\1\\|", line)
 
 
 def markdown_to_rst(lines: list[str]) -> list[str]:

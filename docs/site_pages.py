@@ -69,7 +69,7 @@ def sections() -> dict[str, list[str]]:
             "own_mujoco_task",
             "own_camera",
             "train_model",
-            "agents",
+            "train_agent",
             "data",
             "stages",
         ],

@@ -69,6 +69,13 @@ def test_a_frame_of_ones_own_camera_becomes_a_scene_and_a_plan(monkeypatch, tmp_
     assert names["action"].shape == (7,) and (tmp_path / "view.npz").exists()
 
 
+def test_an_agent_of_ones_own_learns_and_is_ranked(monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    names = run_page("docs/train_agent.md")
+    assert names["took"]["steps"] >= 128 and 0 < names["run"].steps <= 5
+    assert [row["name"] for row in names["table"]["rows"]] == ["trained", "still"]
+
+
 @pytest.fixture
 def kept_registries():
     """What a page registers is forgotten."""
@@ -112,12 +119,6 @@ def test_the_viewers_page_writes_a_page_and_a_film(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     run_page("docs/viewer.md")
     assert "My run" in (tmp_path / "run.html").read_text() and list(tmp_path.glob("films/*.mp4"))
-
-
-def test_the_page_of_agents_trains_one_and_ranks_others(monkeypatch, tmp_path):
-    monkeypatch.chdir(tmp_path)
-    names = run_page("docs/agents.md")
-    assert names["took"]["steps"] >= 64 and names["table"]["policies"] == 2
 
 
 def test_a_strangers_xml_becomes_data_a_model_and_a_plan(monkeypatch, tmp_path, kept_registries):
@@ -227,6 +228,12 @@ def test_dead_links_of_a_built_site_are_found(docs, tmp_path):
     (tmp_path / "a.html").write_text('<h1 id="top"><a href="b.html#there">x</a><a href="https://x.org/y">y</a>')
     (tmp_path / "b.html").write_text('<p id="there"><a href="a.html#gone">x</a><img src="no.png"><a href="#there">')
     assert docs("check_links").dead_links(tmp_path) == ["b.html: a.html#gone", "b.html: no.png"]
+
+
+def test_bars_in_docstrings_are_text(docs):
+    escape = docs("docstrings").escape_bars
+    assert escape("the greatest |R_i - R_j| of them") == r"the greatest \|R_i - R_j\| of them"
+    assert escape("``int | None`` or ``str | None``") == "``int | None`` or ``str | None``"
 
 
 @pytest.mark.parametrize("page", PAGES)
