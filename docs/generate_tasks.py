@@ -22,8 +22,8 @@ _MORE = {
     "CoffeePreparation": "In ManiSkill, too: `import pwm_gym.sim.maniskill.scenes` registers `CoffeePreparation-v1` "
     "there. No model is trained on it: it is made of parts of MugCleanup and Coffee.\n",
     "AdroitHandDoor": "No checkpoint comes with it, and its script explores: it reaches, grasps and pulls, turns the "
-    "latch in most episodes and seldom opens the door. The reward is Gymnasium-Robotics' own, whose first term pays for "
-    "distance from the handle; planners get a cost of their own.\n",
+    "latch in most episodes and seldom opens the door. The reward is Gymnasium-Robotics' own, whose first term pays "
+    "for distance from the handle; planners get a cost of their own.\n",
     "AdroitHandRelocate": "No checkpoint comes with it, and its script explores: it reaches and grasps, lifts the ball "
     "in some episodes and seldom keeps it. The reward is Gymnasium-Robotics' own, whose first term pays for distance "
     "from the ball; planners get a cost of their own.\n",

@@ -245,7 +245,7 @@ def test_observation_is_the_entities_points(each):
     observation, _ = each.reset(seed=0)
     base = each.unwrapped
     assert base.entities[-1].stop == len(observation["points"])
-    assert {e.name for e in base.entities} >= {"hand", "left_gripper", "right_gripper"}
+    assert {e.name for e in base.entities} >= {*base.task.robot.links}
     for e in base.entities:
         centre = base.state.entity(e.name)[0].mean(0).numpy()
         np.testing.assert_allclose(observation["points"][e.slice].mean(0), centre, atol=1e-6)
