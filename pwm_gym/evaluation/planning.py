@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -83,8 +84,9 @@ def episodes_in(world: str, agent: Agent, episodes: int, objects: str = "", prog
         progress: whether to show a progress bar.
     """
     task = agent.task
-    name, settings = {"sim": ("Sim", {"objects": objects or None}), "model": ("", {})}[world]
-    with gym.make(f"pwm/{task.name}{name}-v0", **settings) as env:
+    settings: dict[str, Any] = {"objects": objects or None} if world == "sim" else {}
+    env = gym.make(f"pwm/{task.name}{'Sim' if world == 'sim' else ''}-v0", **settings)
+    with closing(env):
         return run_episodes(env, agent, seed_range("plan_test", episodes), task.max_episode_steps, progress=progress)
 
 

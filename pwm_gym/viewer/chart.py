@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from PIL import Image
@@ -12,7 +12,6 @@ from pwm_gym.viewer.palette import Color
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
 __all__ = ["RULE", "chart_axes", "css", "heading", "new_figure", "picture"]
@@ -72,7 +71,7 @@ def picture(figure: Figure, drawn: bool = False) -> Image.Image:
         figure: of :func:`new_figure`.
         drawn: whether its canvas shows it already.
     """
-    canvas: FigureCanvasAgg = figure.canvas  # type: ignore[assignment]
+    canvas: Any = figure.canvas
     if not drawn:
         canvas.draw()
     return Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3].copy())

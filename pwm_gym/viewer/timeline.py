@@ -102,7 +102,8 @@ class Timeline:
                 axes.plot(curve.values, color=css(curve.color), label=curve.label, linewidth=width, alpha=alpha)
             axes.set_xlabel("step")
             axes.set_xlim(0, self.last)
-            axes.xaxis.get_major_locator().set_params(integer=True)
+            steps: Any = axes.xaxis.get_major_locator()
+            steps.set_params(integer=True)
             if panel.from_zero:
                 axes.set_ylim(bottom=0)
             heading(axes, panel.title, legend=len(panel.curves) > 1)
