@@ -52,13 +52,13 @@ class AgentConfig:
     """Longer episodes are truncated; what would come after counts all the same."""
     discount: float = 0.9
     """Of a reward one step later."""
-    learning_rate: float = 7e-4
+    learning_rate: float = 5e-4
     """Adam's at the start; it falls linearly to a tenth."""
     rollout: int = 0
     """PPO's steps of each environment between two updates; 0 takes what suits their number."""
     width: int = 256
     """Channels of the two hidden layers."""
-    exploration: float = 0.5
+    exploration: float = 0.4
     """PPO's first standard deviation of actions."""
     snapshot_every: int = 500_000
     """Environment steps between saved policies; 0 saves the last alone."""
@@ -119,9 +119,9 @@ class AgentConfig:
         return {
             **shared,
             "n_steps": rollout,
-            "batch_size": max(rollout * self.environments // 16, 2),
-            "n_epochs": 8,
+            "batch_size": max(rollout * self.environments // 8, 2),
+            "n_epochs": 6,
             "gae_lambda": 0.9,
-            "target_kl": 0.1,
+            "target_kl": 0.05,
             "max_grad_norm": 0.5,
         }
