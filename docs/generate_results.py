@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from agents import learned, ranked
 from formatting import ROOT, SUCCESS_HEAD, grid, number, paragraph, read, source, success
 from glance import glance
 from tables import all_tables, completed_rollouts, completion, planning_table, rates, shared, speed, task_tables
@@ -180,6 +181,8 @@ def page() -> str:
         _calibration(),
         _planned(),
         _cloned(),
+        learned(),
+        ranked(),
         _distractors(),
         *task_tables(),
         _EARLIER,
@@ -280,8 +283,7 @@ def _cloned() -> str:
         name = stem.replace("evaluate", "cloned")
         result = read(name)
         if result is not None:
-            told = f"{task}, {result['objects']} objects" if result["objects"] else task
-            rows.append([told, *success(result)])
+            rows.append([task, *success(result)])
             sources.append(source(name, result))
     about = paragraph(
         "A network from entity poses to actions, trained on the data set's demonstrations up to where they turn random",

@@ -1,0 +1,73 @@
+"""Tables of agents that were trained inside a world model, and of policies that were ranked in it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from formatting import ROOT, SUCCESS_HEAD, grid, number, paragraph, read, source, success
+
+_LEARNED = {"PickCube, PPO in the model": "agent_pick_cube_ppo"}
+_RANKED = {"PickCube": "rank_pick_cube"}
+
+
+def learned() -> str:
+    """Success in the simulator of agents that never saw it."""
+    rows, sources, data = [], [], 0
+    for label, name in _LEARNED.items():
+        result = read(name)
+        if result is not None:
+            took = result["training"]
+            data = took["model_data_steps"]
+            minutes = f"{took['seconds'] / 60:.0f} min, {took['steps'] / 1e6:.1f} M steps"
+            rows.append([label, *success(result), minutes, f"{took['model_minutes']:.0f} min"])
+            sources.append(source(name, result))
+    if not rows:
+        return ""
+    about = paragraph(
+        "Policies trained by reinforcement learning inside the shipped model alone, tested in the simulator in the",
+        "planners' test episodes; PPO of stable-baselines3 on entity poses ([how](train_agent.md)). The model's own",
+        f"training, shared with other tasks, took what the last column says, on {data:,} steps of",
+        "simulation. The policy's training ran on one thread beside other processes, and in three parts: the learning",
+        "rate rose again at the beginning of each.",
+    )
+    head = [*SUCCESS_HEAD, "training of the policy", "of the model"]
+    told = "\n".join(sources)
+    return f"## Agents trained inside the model\n\n{told}\n{about}\n{grid(head, rows)}"
+
+
+def ranked() -> str:
+    """Success of policies in the model beside their success in the simulator."""
+    parts = []
+    for task, name in _RANKED.items():
+        result = read(name)
+        if result is not None:
+            parts.append(_ranking(task, name, result))
+    return "\n".join(parts)
+
+
+def _ranking(task: str, name: str, result: dict[str, Any]) -> str:
+    rows = [
+        [f"`{row['name'].removeprefix('runs/')}`", *(_rate(row, world) for world in ("model", "simulator"))]
+        for row in sorted(result["rows"], key=lambda row: row["simulator"])
+    ]
+    about = paragraph(
+        f"{result['policies']} policies of {task}, {result['between_20_and_80']} of them between 20 and 80 %, each",
+        f"from the same {result['scenes']} scenes in the model and in the simulator",
+        f"([how](train_agent.md#rank-policies)): Pearson's r {_told(result['pearson'])},",
+        f"Spearman's {_told(result['spearman'])}, MMRV {_told(result['mmrv'])};",
+        f"{100 * result['agreement']:.0f} % of the episodes end alike.",
+    )
+    picture = f"![Success in the model against success in the simulator](images/{name}.png)\n"
+    shown = f"\n{picture}" if (ROOT / "docs" / "images" / f"{name}.png").exists() else ""
+    table = grid(["policy", "success in the model", "in the simulator"], rows)
+    return f"## Ranking of policies: {task}\n\n{source(name, result)}\n{about}{shown}\n{table}"
+
+
+def _rate(row: dict[str, Any], world: str) -> str:
+    low, high = row[f"{world}_interval"]
+    return f"{100 * row[world]:.1f} % ({100 * low:.0f} to {100 * high:.0f})"
+
+
+def _told(measure: dict[str, Any]) -> str:
+    low, high = measure["interval"]
+    return f"{number(measure['value'], 3)} ({low:.3f} to {high:.3f})"
