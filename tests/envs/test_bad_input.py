@@ -184,9 +184,7 @@ def test_unknown_names(name, arguments, message):
 
 
 def test_unknown_checkpoint():
-    message = (
-        r"unknown checkpoint 'pand'; known: default, FetchPickAndPlace, fetch, kitchen, panda\. Did you mean 'panda'\?"
-    )
+    message = r"unknown checkpoint 'pand'; known: default, fetch, fetch-grip, kitchen, panda\. Did you mean 'panda'\?"
     with pytest.raises(UnknownNameError, match=message):
         gym.make(ID, checkpoint="pand")
 
