@@ -146,9 +146,9 @@ pwm-gym collect --task CoffeePreparation --episodes 16 --held-out 12 --practice 
 pwm-gym collect --task Coffee --episodes 64 --held-out 8 --practice 0.0  # for behaviour cloning
 ```
 
-`fetch` and `fetch-grip` are of the Fetch: 19 and 18 minutes of one process, and ten of collection. `fetch` saw all four
-tasks and is the default of three; in these the gripper is held shut and its action ignored, so that one response fitted on
-all four never opens a shut gripper. `fetch-grip` is of FetchPickAndPlace alone.
+`fetch` and `fetch-grip` are of the Fetch: 19 and 24 minutes of one process beside others, and ten of collection.
+`fetch` saw all four tasks and is the default of three; in these the gripper is held shut and its action ignored, so that
+one response fitted on all four never opens a shut gripper. `fetch-grip` is of FetchPickAndPlace alone.
 
 ```
 pwm-gym collect --task FetchPickAndPlace --episodes 700 --held-out 40 --practice 0.6
@@ -171,7 +171,8 @@ _LIMITS = """## What these figures do not show
 
 - Clouds are complete and come from the simulator's meshes, but for the baselines marked "partial" and the sections on
   completion, where the object is segmented by the simulator's ids: errors of segmentation are not in any row.
-- Ten tasks of two robots; Adroit's two have no model yet. What a model makes of shapes that it never saw is told for ten objects alone.
+- Ten tasks of two robots; Adroit's two have no model yet. What a model makes of shapes that it never saw is told for
+  ten objects alone.
 - The arm's kinematics and its controller are known to the default model and to no baseline; the table of the arm, where
   it is given, tells what that is worth.
 - All rows are trained by Muon and AdamW, the networks of points with a lower learning rate (0.002) than the default
