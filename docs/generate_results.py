@@ -147,8 +147,8 @@ pwm-gym collect --task Coffee --episodes 64 --held-out 8 --practice 0.0  # for b
 ```
 
 `fetch` and `fetch-grip` are of the Fetch: 19 and 24 minutes of one process beside others, and ten of collection.
-`fetch` saw all four tasks and is the default of three; in these the gripper is held shut and its action ignored, so that
-one response fitted on all four never opens a shut gripper. `fetch-grip` is of FetchPickAndPlace alone.
+`fetch` saw all four tasks and is the default of three; in these the gripper is held shut and its action ignored, so
+that one response fitted on all four never opens a shut gripper. `fetch-grip` is of FetchPickAndPlace alone.
 
 ```
 pwm-gym collect --task FetchPickAndPlace --episodes 700 --held-out 40 --practice 0.6
