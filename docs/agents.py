@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from formatting import ROOT, SUCCESS_HEAD, grid, number, paragraph, read, source, success
+from formatting import ROOT, SUCCESS_HEAD, grid, paragraph, read, source, success
+
+from pwm_gym.evaluation.ranking import measure_text
 
 _LEARNED = {"PickCube, PPO in the model": "agent_pick_cube_ppo"}
 _RANKED = {"PickCube": "rank_pick_cube"}
@@ -53,8 +55,8 @@ def _ranking(task: str, name: str, result: dict[str, Any]) -> str:
     about = paragraph(
         f"{result['policies']} policies of {task}, {result['between_20_and_80']} of them between 20 and 80 %, each",
         f"from the same {result['scenes']} scenes in the model and in the simulator",
-        f"([how](train_agent.md#rank-policies)): Pearson's r {_told(result['pearson'])},",
-        f"Spearman's {_told(result['spearman'])}, MMRV {_told(result['mmrv'])};",
+        f"([how](train_agent.md#rank-policies)): Pearson's r {measure_text(result['pearson'])},",
+        f"Spearman's {measure_text(result['spearman'])}, MMRV {measure_text(result['mmrv'])};",
         f"{100 * result['agreement']:.0f} % of the episodes end alike.",
     )
     picture = f"![Success in the model against success in the simulator](images/{name}.png)\n"
@@ -66,8 +68,3 @@ def _ranking(task: str, name: str, result: dict[str, Any]) -> str:
 def _rate(row: dict[str, Any], world: str) -> str:
     low, high = row[f"{world}_interval"]
     return f"{100 * row[world]:.1f} % ({100 * low:.0f} to {100 * high:.0f})"
-
-
-def _told(measure: dict[str, Any]) -> str:
-    low, high = measure["interval"]
-    return f"{number(measure['value'], 3)} ({low:.3f} to {high:.3f})"

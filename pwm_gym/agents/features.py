@@ -41,10 +41,7 @@ class EntityFeatures(BaseFeaturesExtractor):
         own = observations[:, : POSE_FEATURES * self.entities].unflatten(1, (self.entities, POSE_FEATURES))
         goal = observations[:, POSE_FEATURES * self.entities :]
         places, turns, speeds = own.split([3, POSE_FEATURES - 6, 3], -1)
-        origin = places[:, self.hand]
-        seen = (places - origin.unsqueeze(1)) * _PLACE
-        seen = torch.cat([seen[:, : self.hand], origin.unsqueeze(1), seen[:, self.hand + 1 :]], 1)
-        parts = [seen.flatten(1), turns.flatten(1), speeds.flatten(1) * _SPEED, goal]
+        parts = [_seen_from(places, self.hand).flatten(1), turns.flatten(1), speeds.flatten(1) * _SPEED, goal]
         if self.placed:
             parts += [(goal - places[:, k]) * _PLACE for k in (self.hand, *self.objects)]
         return torch.cat(parts, 1)
@@ -76,6 +73,11 @@ class PointFeatures(BaseFeaturesExtractor):
         own = torch.cat([(points - origin) * _PLACE, observations["velocity"] * _SPEED], -1)
         lifted = self.lift(torch.cat([own, which.expand(len(points), -1, -1)], -1))
         told = torch.stack([part.amax(1) for part in lifted.split(self.counts, 1)], 1)
-        seen = (centres - origin) * _PLACE
-        seen = torch.cat([seen[:, : self.hand], origin, seen[:, self.hand + 1 :]], 1)
-        return torch.cat([told.flatten(1), seen.flatten(1), observations["goal"]], 1)
+        return torch.cat([told.flatten(1), _seen_from(centres, self.hand).flatten(1), observations["goal"]], 1)
+
+
+def _seen_from(places: Tensor, hand: int) -> Tensor:
+    """Scaled ways (B, E, 3) from the hand to places (B, E, 3), metres; its own place stands where it is."""
+    origin = places[:, hand : hand + 1]
+    ways = (places - origin) * _PLACE
+    return torch.cat([ways[:, :hand], origin, ways[:, hand + 1 :]], 1)

@@ -20,6 +20,7 @@ from pwm_gym.agents.features import EntityFeatures, PointFeatures
 from pwm_gym.envs.common import OBSERVATIONS, action_space
 from pwm_gym.errors import CheckpointError, PwmGymError
 from pwm_gym.learning.weights import load_weights, read_description, save_weights
+from pwm_gym.policies.network import check_entities
 from pwm_gym.scene import SCHEMA, Layout, RigidState
 from pwm_gym.tasks import Task, get_task
 
@@ -156,8 +157,7 @@ class LearnedPolicy:
         Raises:
             PwmGymError: a scene of other entities.
         """
-        if state.layout.names != self.layout.names:
-            raise PwmGymError(f"the policy is of scenes of {self.layout.names}; this one has {state.layout.names}")
+        check_entities(state, self.layout)
         if state.layout != self.layout:
             state = state.coarsen(self.layout)
         seen = self._shown.observe(state, goal)

@@ -138,22 +138,24 @@ def succeeds_in_twin(
 
     Those that are solved at reset are left out of both.
     """
-    known, scenes, won = get_task(task), [], []
-    with gym.make(f"pwm/{task}Sim-v0") as env:
+    most, scenes, won = max_steps or get_task(task).max_episode_steps, [], []
+    with gym.make(f"pwm/{task}Sim-v0", max_episode_steps=most) as env:
         base: Any = env.unwrapped
         for number, seed in enumerate(seeds):
             _, info = env.reset(seed=seed)
             if info["success"]:
                 continue
-            scenes.append(base.scene())
+            scene = base.scene()
+            scenes.append(scene)
             _begin(policy, [number])
-            for _ in range(max_steps or known.max_episode_steps):
-                state = batch_state([base.scene()])
+            for _ in range(most):
+                state = batch_state([scene])
                 assert isinstance(state, RigidState)
-                action = policy.act(state, torch.as_tensor(base.scene().goal)[None])[0]
+                action = policy.act(state, torch.as_tensor(scene.goal)[None])[0]
                 _, _, terminated, truncated, info = env.step(action.cpu().numpy())
                 if terminated or truncated:
                     break
+                scene = base.scene()
             won.append(bool(info["success"]))
     return scenes, np.array(won, bool)
 

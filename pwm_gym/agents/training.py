@@ -107,6 +107,7 @@ class _Saver(BaseCallback):
             total=config.steps, unit="step", unit_scale=True, mininterval=1.0, desc="train", disable=not progress
         )
         self._saved = 0
+        self._model_took = _model_took(task, config)
 
     def _on_training_start(self) -> None:
         self._saved = self.num_timesteps
@@ -125,6 +126,9 @@ class _Saver(BaseCallback):
             self._saved = self.num_timesteps
             self.save(self.out / "snapshots" / f"{self.num_timesteps:09d}")
 
+    def _on_training_end(self) -> None:
+        self._bar.close()
+
     def save(self, folder: Path | None = None) -> None:
         """Write the policy, and the state that the run goes on from."""
         told = self.told()
@@ -137,7 +141,7 @@ class _Saver(BaseCallback):
     def told(self) -> dict[str, Any]:
         """What the training took so far."""
         seconds = self._spent + time.perf_counter() - self._begun
-        return {"seconds": seconds, "steps": self.model.num_timesteps, **_model_took(self.task, self.config)}
+        return {"seconds": seconds, "steps": self.model.num_timesteps, **self._model_took}
 
 
 def _model_took(task: Task, config: AgentConfig) -> dict[str, Any]:

@@ -63,18 +63,13 @@ class Rank:
 
 def _print(table: dict[str, Any]) -> None:
     """The rates, and how well they agree."""
+    from pwm_gym.evaluation.ranking import measure_text
+
     print(f"\n{table['task']}: {table['policies']} policies from {table['scenes']} scenes")
     print(f"  {'model':>6} {'sim':>6}  policy")
     for row in sorted(table["rows"], key=lambda row: row["simulator"]):
         print(f"  {row['model']:6.1%} {row['simulator']:6.1%}  {row['name']}")
     for label, found in (("model", table), ("floor", table.get("floor"))):
         if found is not None:
-            told = [f"{key} {_text(found[key])}" for key in ("pearson", "spearman", "mmrv")]
+            told = [f"{key} {measure_text(found[key])}" for key in ("pearson", "spearman", "mmrv")]
             print(f"  {label}: {', '.join(told)}; {found['agreement']:.1%} of the episodes end alike")
-
-
-def _text(measure: dict[str, Any]) -> str:
-    if measure["value"] is None:
-        return "-"
-    low, high = measure["interval"]
-    return f"{measure['value']:.3f} ({low:.3f} to {high:.3f})"

@@ -17,6 +17,7 @@ from pwm_gym.scene import SCHEMA, Layout, Scene
 from pwm_gym.schema import read_json
 
 __all__ = [
+    "ASSET",
     "FORMAT",
     "SPLITS",
     "Dataset",
@@ -30,7 +31,8 @@ __all__ = [
 
 SPLITS = ("train", "validation", "test")
 FORMAT = "pwm_gym.dataset"
-_ASSET = "asset-"
+ASSET = "asset-"
+"""What names of assets' arrays and files begin with."""
 
 
 @dataclass(frozen=True)
@@ -148,7 +150,7 @@ def read_header(folder: Path, task: str | None = None) -> Header:
 
 def asset_path(folder: Path, name: str) -> Path:
     """File of an asset's canonical cloud in a data set's folder."""
-    return Path(folder) / f"{_ASSET}{name}.npz"
+    return Path(folder) / f"{ASSET}{name}.npz"
 
 
 def save_asset(folder: Path, name: str, cloud: np.ndarray) -> None:
@@ -205,9 +207,9 @@ def _assets(folder: Path, header: Header, layout: Layout) -> dict[str, np.ndarra
             raise DatasetError(f"{folder} has clouds of shape {clouds.shape}; expected {(layout.points, 3)}")
         return {e.name: clouds[e.slice] for e in layout}
     found = {}
-    for path in sorted(folder.glob(f"{_ASSET}*.npz")):
+    for path in sorted(folder.glob(f"{ASSET}*.npz")):
         arrays, _ = load_arrays(path, "is truncated or no asset's file; delete it and collect again", DatasetError)
         if "points" not in arrays:
             raise DatasetError(f"{path} is no asset's file (it lacks points)")
-        found[path.stem.removeprefix(_ASSET)] = arrays["points"].astype(np.float32)
+        found[path.stem.removeprefix(ASSET)] = arrays["points"].astype(np.float32)
     return found

@@ -19,8 +19,8 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
+from pwm_gym.data.dataset import ASSET, SPLITS, Dataset, load_split, load_splits, read_header, save_asset
 from pwm_gym.data.dataset import FORMAT as DATASET
-from pwm_gym.data.dataset import SPLITS, Dataset, load_split, load_splits, read_header, save_asset
 from pwm_gym.data.episodes import FORMAT as EPISODES
 from pwm_gym.data.episodes import KINDS, Episode, write_shard
 from pwm_gym.errors import DatasetError
@@ -38,7 +38,6 @@ _SPAN = 1e3  # Minari wants bounded spaces; nothing in a scene comes near
 _SHARD = 100  # episodes a file of an imported data set
 _OBSERVATIONS = ("poses", "joints", "goal")
 _INFOS = ("success", "grasped", "kind", "seed", "switch", "split", "assets")
-_ASSET = "asset-"
 _OWN = -1  # combination of an episode that names no assets: those of the layout
 
 
@@ -178,7 +177,7 @@ def _arrays(episode: Episode, split: int, combinations: Sequence[tuple[str, ...]
 def _write_side_file(path: Path, sources: Mapping[str, Dataset], settings: Mapping[str, Any]) -> None:
     """Write the canonical clouds, and what else an import needs."""
     dataset = next(iter(sources.values()))
-    clouds = {f"{_ASSET}{name}": points for source in sources.values() for name, points in source.assets.items()}
+    clouds = {f"{ASSET}{name}": points for source in sources.values() for name, points in source.assets.items()}
     header = {
         "format": FORMAT,
         "schema": SCHEMA,
@@ -242,7 +241,7 @@ def _read_side_file(path: Path, dataset_id: str) -> tuple[dict[str, np.ndarray],
         raise DatasetError(f"{dataset_id!r} has schema {header.schema}; this version reads up to {SCHEMA}")
     if not isinstance(header.settings.get("task"), str):
         raise DatasetError(f"{path} names no task in its settings")
-    return {name.removeprefix(_ASSET): points for name, points in arrays.items()}, header
+    return {name.removeprefix(ASSET): points for name, points in arrays.items()}, header
 
 
 def _check(source: Any, dataset_id: str, header: _Header, task: str | None) -> Layout:

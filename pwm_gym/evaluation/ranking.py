@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ from pwm_gym.errors import PwmGymError
 from pwm_gym.evaluation.metrics import pearson
 from pwm_gym.evaluation.planning import wilson
 
-__all__ = ["max_rank_violation", "ranking_table"]
+__all__ = ["max_rank_violation", "measure_text", "ranking_table"]
 
 _DRAWS = 500  # of the bootstrap
 
@@ -103,3 +103,11 @@ def _row(name: str, model: np.ndarray, simulator: np.ndarray) -> dict[str, Any]:
         "simulator_alone": int((~model & simulator).sum()),
         "neither": int((~model & ~simulator).sum()),
     }
+
+
+def measure_text(measure: Mapping[str, Any]) -> str:
+    """A measure of a table with its interval, in words."""
+    if measure["value"] is None:
+        return "-"
+    low, high = measure["interval"]
+    return f"{measure['value']:.3f} ({low:.3f} to {high:.3f})"

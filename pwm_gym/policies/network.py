@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from pwm_gym.errors import PwmGymError
 from pwm_gym.scene import Layout, RigidState
 
-__all__ = ["Policy", "PolicyConfig", "boxes_of"]
+__all__ = ["Policy", "PolicyConfig", "boxes_of", "check_entities"]
 
 _OWN = 3 + 6 + 3 + 6  # an entity's place, two of its axes, its step, and its box
 
@@ -29,6 +29,12 @@ def boxes_of(layout: Layout, clouds: Tensor) -> Tensor:
     """Lowest and highest corners (B, E, 6) of the entities' canonical clouds (B, N, 3), in their frames; metres."""
     parts = [clouds[:, e.slice] for e in layout]
     return torch.stack([torch.cat([part.amin(1), part.amax(1)], -1) for part in parts], 1)
+
+
+def check_entities(state: RigidState, layout: Layout) -> None:
+    """Raise :class:`PwmGymError` where a state has other entities than the policy's ``layout``."""
+    if state.layout.names != layout.names:
+        raise PwmGymError(f"the policy is of scenes of {layout.names}; this one has {state.layout.names}")
 
 
 class Policy(nn.Module):
@@ -89,6 +95,5 @@ class Policy(nn.Module):
         Raises:
             PwmGymError: a scene of other entities.
         """
-        if state.layout.names != self.layout.names:
-            raise PwmGymError(f"the policy is of scenes of {self.layout.names}; this one has {state.layout.names}")
+        check_entities(state, self.layout)
         return self(self.features(state.frames, boxes_of(state.layout, state.clouds), goal))

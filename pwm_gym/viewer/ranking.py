@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from pwm_gym.evaluation.ranking import measure_text
 from pwm_gym.viewer.palette import PREDICTED, TRUE
 
 __all__ = ["draw_ranking"]
@@ -46,14 +47,6 @@ def _scatter(axes: Any, table: Mapping[str, Any], color: tuple[float, ...]) -> N
             for value, (low, high) in ((x, row["simulator_interval"]), (y, row["model_interval"]))
         )
         axes.errorbar(x, y, xerr=across, yerr=up, fmt="o", color=color, ecolor=(*color, 0.35), markersize=5)
-    told = [f"{name} {_text(table[key])}" for name, key in (("r", "pearson"), ("MMRV", "mmrv"))]
+    told = [f"{name} {measure_text(table[key])}" for name, key in (("r", "pearson"), ("MMRV", "mmrv"))]
     axes.set_title(", ".join(told), fontsize=10)
     axes.grid(color="0.93")
-
-
-def _text(measure: Mapping[str, Any]) -> str:
-    """A measure with its interval."""
-    if measure["value"] is None:
-        return "-"
-    low, high = measure["interval"]
-    return f"{measure['value']:.3f} ({low:.3f} to {high:.3f})"

@@ -345,15 +345,9 @@ def test_more_layouts_than_are_remembered_work(worlds):
 
 
 @torch.no_grad()
-@pytest.mark.parametrize(
-    ("name", "blocks", "trace"),
-    [
-        ("cube", 2, 0.0),
-        ("two arms", 1, 0.0),
-        ("two arms", 2, 0.1),  # what the second block reads of the shelf's drawer, which sees the object in the first
-    ],
-)
-def test_what_is_near_the_robot_and_not_touched_does_not_change_how_it_moves(worlds, name, blocks, trace):
+@pytest.mark.parametrize("blocks", [1, 2])
+@pytest.mark.parametrize("name", ["cube", "two arms"])
+def test_what_is_near_the_robot_and_not_touched_does_not_change_how_it_moves(worlds, name, blocks):
     world = worlds[name]
     state, action = world.state(moving=False), world.actions()
     links = [k for k, e in enumerate(state.layout) if e.driven]
@@ -370,9 +364,7 @@ def test_what_is_near_the_robot_and_not_touched_does_not_change_how_it_moves(wor
     def difference(gaps, away):
         return float((moves(gaps, away, [0.0, 0.0, 0.0]) - moves(gaps, away, [0.4, -0.7, 0.2])).abs().max())
 
-    seen = difference((0.0, 0.0), 2.0)
-    assert seen > 1e-6
-    assert difference((0.01, 3.0), 2.0) <= trace * seen
+    assert difference((0.01, 3.0), 2.0) < 1e-6 < difference((0.0, 0.0), 2.0)
     assert difference((0.01, 0.5), 2.0) > 1e-6  # farther than that, it is seen
 
 

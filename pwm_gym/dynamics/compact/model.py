@@ -71,6 +71,8 @@ class CompactConfig:
     hidden_gaps: tuple[float, float] = (0.0, 0.0)
     """Gaps between robot and loose object, from and to, metres, at which the object is hidden from the robot's tokens:
     near, but not touching. Equal ones hide nothing."""
+    hidden_from_all: bool = True
+    """Whether such an object is hidden from all other tokens, so that none of them tells the robot's of it."""
     uncertain: bool = True
     """Whether it tells how far off it may be (``RigidState.error``)."""
 
@@ -250,6 +252,8 @@ class CompactModel(nn.Module):
         visible = gap.new_ones(len(gap), total, total)
         robot = gap.new_ones(len(gap), total)
         robot[:, plan.loose_places] = ((gap <= least) | (gap > most)).to(gap)
+        if self.config.hidden_from_all:  # else what sees it tells the robot of it in the next block
+            return torch.maximum(robot.unsqueeze(1), torch.eye(total, device=gap.device, dtype=gap.dtype))
         visible[:, : plan.links] = visible[:, count:] = robot.unsqueeze(1)
         return visible
 
