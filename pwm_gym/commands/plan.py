@@ -10,6 +10,10 @@ from pwm_gym.commands.failures import draw_failures
 from pwm_gym.commands.numbers import check_least
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from torch import Tensor
+
     from pwm_gym.planning import SamplingConfig
     from pwm_gym.tasks import Task
 
@@ -57,6 +61,9 @@ class Plan:
     """Sensor model of that camera: ideal or d455."""
     cost: str | None = None
     """Registered cost, or "file.py:function"; None takes the task's planning cost."""
+    guide: Path | None = None
+    """Folder of a policy that ``pwm-gym train-agent`` wrote: plans start from what it would do in the model, where that
+    is cheaper than the last plan."""
     caution: float = 0.0
     """Cost of a metre of expected error at a step."""
     workspace: tuple[float, float, float, float, float, float] | None = None
@@ -103,15 +110,18 @@ class Plan:
         seeds = seed_range(self.seeds, self.episodes, self.offset)
         cost = None if self.cost is None else find_cost(self.cost)
         penalties = self._penalties(task)
-        agent = Agent(checkpoint.model, self.task, config, cost=cost, penalties=penalties, caution=self.caution)
+        guide = None if self.guide is None else self._policy(self.guide, task)
+        limits = {name: getattr(self, name) for name in ("caution", "workspace", "clear_of")}
+        agent = Agent(checkpoint.model, self.task, config, cost, penalties=penalties, caution=self.caution, guide=guide)
         camera = CameraConfig(sensor=self.sensor, completer=self.completer)
         twin = f"pwm/{self.task}Sim-v0"
         settings: dict[str, Any] = {"observation": self.observation, "camera": camera, "objects": self.objects or None}
         most = task.max_episode_steps if self.max_steps is None else self.max_steps
         names = ("chunk", "seeds", "objects", "observation", "completer", "sensor", "cost")
         facts = {"planner": planner, "settings": asdict(config), **{name: getattr(self, name) for name in names}}
-        limits = {name: getattr(self, name) for name in ("caution", "workspace", "clear_of")}
         recipe = {"task": self.task, "checkpoint": digest(path), "max_steps": most, **limits, **facts}
+        if self.guide is not None:
+            recipe["guide"] = facts["guide"] = digest(self.guide)
         with gym.make(twin, max_episode_steps=most, **settings) as env:
             runs = run_episodes(env, agent, seeds, most, self.chunk, folder=self.save, recipe=recipe)
         table = planning_table(runs)
@@ -133,6 +143,19 @@ class Plan:
             config = config.resize(self.samples)
         changes = {k: v for k in ("horizon", "iterations") if (v := getattr(self, k)) is not None}
         return replace(config, **changes)
+
+    def _policy(self, folder: Path, task: Task) -> Callable[..., Tensor]:
+        """What the policy in a folder does in the task's states.
+
+        Raises:
+            CheckpointError: there is no such folder, or none of a policy of the task.
+        """
+        from pwm_gym.agents.contestants import contestant
+        from pwm_gym.errors import CheckpointError
+
+        if not folder.is_dir():
+            raise CheckpointError(f"guide={str(folder)!r} is no folder; expected one of pwm-gym train-agent")
+        return contestant(str(folder), task).act
 
     def _penalties(self, task: Task) -> dict[str, Any]:
         """Terms that the constraints add to the cost."""

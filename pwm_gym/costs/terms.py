@@ -293,12 +293,21 @@ def disturbance(name: str, held: bool = True, gripper: Gripper = PANDA) -> Term:
     return term
 
 
-def carry(name: str, target: Place, gripper: Gripper = PANDA) -> Term:
-    """Nearness of the object to a place, which counts once the grasp is firm: up to 4."""
+def carry(name: str, target: Place, gripper: Gripper = PANDA, most: float = 4.0, farthest: float = 0.4) -> Term:
+    """Nearness of the object to a place, which counts once the grasp is firm.
+
+    Args:
+        name: the object.
+        target: the place.
+        gripper: that holds it.
+        most: value at the place; ``most - 8 * farthest`` above 1 makes a grasp worth its while anywhere.
+        farthest: distance, metres, beyond which the value falls no further.
+    """
     distance = _distance(name, target)
 
     def term(points: Points, info: Info) -> Tensor:
-        return contacts.firmness(points, info["action"], name, gripper) * closeness(distance(points, info))
+        firm = contacts.firmness(points, info["action"], name, gripper)
+        return firm * closeness(distance(points, info), most, farthest)
 
     return term
 

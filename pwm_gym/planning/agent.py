@@ -35,6 +35,8 @@ class Agent:
         device: of the model.
         penalties: further terms of the cost, name -> weight and function (:mod:`pwm_gym.planning.constraints`).
         caution: cost of a metre of expected error at a step, for models that tell it.
+        guide: a policy, actions (B, A) of a state (B,) for goals (B, G); what it would do in the model is where a plan
+            starts from, if that is cheaper than the last plan.
     """
 
     def __init__(
@@ -47,8 +49,9 @@ class Agent:
         device: str = "cpu",
         penalties: Mapping[str, tuple[float, Function]] | None = None,
         caution: float = 0.0,
+        guide: Callable[[State, Tensor], Tensor] | None = None,
     ) -> None:
-        self.task, self.device, self.model = get_task(task), device, model
+        self.task, self.device, self.model, self.guide = get_task(task), device, model, guide
         config = config or get_planner_config(self.task.planner)
         self.planner: Planner = build_planner(config, self.task.control, device)
         self.cost = get_cost(self.task.plan_cost if cost is None else cost).plus(penalties or {})
@@ -131,8 +134,19 @@ class Agent:
         if scene is not None:
             self.look(scene)
         objective = self.objective.begin(self._present(), self._goal, self._present_stage())
-        plans = self.planner.plan(objective, self._generator, len(self._goal), self._action).cpu().numpy()
+        proposal = self._follow(self.guide) if self.guide is not None else None
+        planned = self.planner.plan(objective, self._generator, len(self._goal), self._action, proposal)
+        plans = planned.cpu().numpy()
         return plans[0].copy() if self._one else plans.copy()  # the planner keeps its own
+
+    @torch.no_grad()
+    def _follow(self, guide: Callable[[State, Tensor], Tensor]) -> Tensor:
+        """Actions (B, H, A) of a policy in the model, from the present state on."""
+        state, actions = self._present(), []
+        for _ in range(self.planner.horizon):
+            actions.append(guide(state, self._goal).to(self.device))
+            state = self.model.step(state, actions[-1])
+        return torch.stack(actions, 1)
 
     def act(self, scene: Scene | Sequence[Scene] | None = None) -> np.ndarray:
         """First action (A,) of :meth:`plan`, or first actions (B, A)."""

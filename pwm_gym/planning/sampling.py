@@ -25,11 +25,20 @@ Objective = Callable[[Tensor], Tensor]
 class Planner(Protocol):
     """Improves action sequences, batched over environments, and starts from its last plan."""
 
+    @property
+    def horizon(self) -> int:
+        """Steps that a plan looks ahead."""
+
     def reset(self) -> None:
         """Forget the last plan."""
 
     def plan(
-        self, objective: Objective, generator: torch.Generator, batch: int = 1, last_action: Tensor | None = None
+        self,
+        objective: Objective,
+        generator: torch.Generator,
+        batch: int = 1,
+        last_action: Tensor | None = None,
+        proposal: Tensor | None = None,
     ) -> Tensor:
         """Action sequences (B, H, A), the first of which is to be executed.
 
@@ -39,6 +48,8 @@ class Planner(Protocol):
             batch: B, environments planned for at once.
             last_action: actions (B, A) that led to the present state, where they are known: absolute targets and
                 grippers begin there.
+            proposal: action sequences (B, H, A), a policy's for instance, to start from where they are cheaper than the
+                last plan.
         """
 
 
@@ -145,13 +156,23 @@ class SamplingPlanner(ABC, Generic[Config]):
         moves = sample_mask(control, self._sigma.tolist(), samples, *shares)
         return (scale * moves.to(scale)).unsqueeze(1)
 
+    @property
+    def horizon(self) -> int:
+        """Steps that a plan looks ahead."""
+        return self.config.horizon
+
     def reset(self) -> None:
         """Forget the last plan."""
         self._mean = self._last = None
 
     @torch.no_grad()
     def plan(
-        self, objective: Objective, generator: torch.Generator, batch: int = 1, last_action: Tensor | None = None
+        self,
+        objective: Objective,
+        generator: torch.Generator,
+        batch: int = 1,
+        last_action: Tensor | None = None,
+        proposal: Tensor | None = None,
     ) -> Tensor:
         """Improved action sequences (B, H, A), started from the last plan shifted by one step.
 
@@ -160,10 +181,25 @@ class SamplingPlanner(ABC, Generic[Config]):
             generator: source of the noise.
             batch: B, environments planned for at once.
             last_action: actions (B, A) that led to the present state, where they are known.
+            proposal: action sequences (B, H, A) to start from where they are cheaper.
+
+        Raises:
+            PwmGymError: a proposal of another shape.
         """
         self._last = None if last_action is None else last_action.clamp(-self._bound, self._bound)
-        self._mean = self._improve(self._warm_start(batch), objective, generator)
+        start = self._warm_start(batch)
+        if proposal is not None:
+            start = self._cheaper(start, proposal, objective)
+        self._mean = self._improve(start, objective, generator)
         return self._mean
+
+    def _cheaper(self, start: Tensor, proposal: Tensor, objective: Objective) -> Tensor:
+        """Of two action sequences (B, H, A) the cheaper one of each environment."""
+        if proposal.shape != start.shape:
+            raise PwmGymError(f"proposal has shape {tuple(proposal.shape)}; expected {tuple(start.shape)}")
+        both = torch.stack([start, proposal.clamp(-self._bound, self._bound)], 1)
+        cheapest = objective(both).argmin(1)
+        return both[torch.arange(len(both)), cheapest]
 
     @abstractmethod
     def _improve(self, mean: Tensor, objective: Objective, generator: torch.Generator) -> Tensor:

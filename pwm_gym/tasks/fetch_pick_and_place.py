@@ -38,7 +38,7 @@ register_terms(
         "finger_blocking": (3.0, terms.finger_blocking("object", GRIPPER)),
         "ground_contact": (1.0, terms.ground_contact),
         "disturbance": (0.5, terms.disturbance("object", gripper=GRIPPER)),
-        "carry": (-2.0, terms.carry("object", terms.goal_position, GRIPPER)),
+        "carry": (-2.0, terms.carry("object", terms.goal_position, GRIPPER, most=6.0, farthest=0.6)),
     },
 )
 

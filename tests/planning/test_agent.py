@@ -5,7 +5,7 @@ import torch
 from pwm_gym.costs import cost_info, get_cost, get_grasp
 from pwm_gym.dynamics import build_model, load_checkpoint, resolve
 from pwm_gym.errors import PwmGymError
-from pwm_gym.planning import PLANNERS, Agent, MPPIConfig
+from pwm_gym.planning import PLANNERS, ActionNoise, Agent, MPPIConfig, NoiseConfig
 from pwm_gym.scene import batch_state
 from pwm_gym.tasks import TASKS, get_task
 
@@ -163,3 +163,29 @@ def test_caution_needs_a_model_that_tells_its_error(scene):
 def test_penalties_may_not_hide_a_term_of_the_cost(env):
     with pytest.raises(ValueError, match="has a term 'carry' already"):
         Agent(env.unwrapped.model, penalties={"carry": (1.0, lambda points, info: torch.zeros(1))})
+
+
+def test_plans_start_from_what_a_guide_would_do(env, scene):
+    """A planner with next to no noise follows the guide where its cost is the lower one."""
+    model = env.unwrapped.model
+    config = MPPIConfig(samples=4, elites=1, horizon=3, noise=ActionNoise.uniform(NoiseConfig((1e-6,))), stop_samples=0)
+    seen = []
+
+    def guide(state, goal):
+        seen.append(state.poses())
+        return torch.full((len(goal), 7), 0.25)
+
+    def low(points, info):
+        return points["hand"].mean(-2)[..., 0]
+
+    def high(points, info):
+        return -low(points, info)
+
+    plans = {}
+    for cost in (low, high):
+        agent = Agent(model, "PickCube", config, cost=cost, guide=guide)
+        agent.reset(0)
+        plans[cost] = agent.plan(scene)
+    assert len(seen) == 6 and not torch.equal(seen[0], seen[2])  # it acts in the states that it would come to
+    np.testing.assert_allclose(plans[high], 0.25, atol=1e-3)
+    np.testing.assert_allclose(plans[low][:, :6], 0.0, atol=1e-3)

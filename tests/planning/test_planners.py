@@ -183,3 +183,23 @@ def test_a_foreign_configuration_is_refused():
 
     with pytest.raises(PwmGymError, match="Foreign is no planner's configuration; expected one of MPPIConfig, CEMC"):
         build_planner(Foreign(), TWO)
+
+
+def test_a_proposal_is_taken_where_it_is_cheaper(config):
+    """The optimum is proposed to one environment, and the worst sequence to another, for a planner that hardly seeks."""
+    lazy = replace(config, noise=noise(1e-6, 0.0, 1.0))
+    planner, steps = build_planner(lazy, TWO), 8
+    objective = point_masses(torch.zeros(2, 2), TARGETS[:2])
+    good = torch.zeros(steps, 2)
+    good[:4] = TARGETS[0] / 0.4
+    proposal = torch.stack([good, -TARGETS[1].sign().expand(steps, 2)])
+    plan = planner.plan(objective, generator(), batch=2, proposal=proposal)
+    without = build_planner(lazy, TWO).plan(objective, generator(), batch=2)
+    torch.testing.assert_close(plan[1], without[1], rtol=0.0, atol=1e-3)
+    assert objective(plan.unsqueeze(1))[0, 0] < 0.6 * objective(without.unsqueeze(1))[0, 0]
+
+
+def test_a_proposal_of_another_shape_is_refused(config):
+    objective = point_masses(torch.zeros(1, 2), TARGETS[:1])
+    with pytest.raises(PwmGymError, match=r"proposal has shape \(1, 3, 2\); expected \(1, 8, 2\)"):
+        build_planner(config, TWO).plan(objective, generator(), proposal=torch.zeros(1, 3, 2))
