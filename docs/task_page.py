@@ -13,6 +13,14 @@ from pwm_gym.dynamics.checkpoint import default_checkpoints
 from pwm_gym.tasks import Task
 
 IMAGES = Path(__file__).parent / "images"
+PLAYERS = Path(__file__).parent / "_static" / "players"
+_PLAYER = """```{{raw}} html
+<video class="player" controls muted loop playsinline preload="metadata" src="../_static/players/{name}.mp4"></video>
+```
+
+Planned in the model and executed in the simulator: `pwm-gym plan --task {name} --episodes 1 --save runs/plans`, then
+`pwm-gym view` with `--mp4`, or with `--html` for the same in 3D. Teal is what the model predicted, purple what happened.
+"""
 _ROLLOUT_HEAD = ["episodes", "Chamfer L1 (m)", "reward correlation", "objects at step 60 (mm)", "linear response (m)"]
 _MAKE = """```python
 import gymnasium as gym
@@ -49,10 +57,13 @@ def task_page(task: Task) -> str:
 
 
 def picture(name: str) -> str:
-    """The task's moving and still pictures, where they are there."""
-    told = "A rollout of {name}: predicted (teal) over true (purple)"
-    found = [path for path in (IMAGES / f"{name}.gif", IMAGES / f"{name}.png") if path.exists()]
-    return "\n".join(f"![{told.format(name=name)}](../images/{path.name})\n" for path in found)
+    """The task's film and still picture, where they are there."""
+    parts = []
+    if (PLAYERS / f"{name}.mp4").exists():
+        parts.append(_PLAYER.format(name=name))
+    if (IMAGES / f"{name}.png").exists():
+        parts.append(f"![A rollout of {name}: predicted (teal) over true (purple)](../images/{name}.png)\n")
+    return "\n".join(parts)
 
 
 def _goal(task: Task) -> str:

@@ -10,10 +10,12 @@ from pwm_gym.costs.contacts import Points
 from pwm_gym.costs.terms import Info, Term
 from pwm_gym.robots.gripper import Gripper
 
-__all__ = ["behind", "goal_distance", "pushed_terms", "pushing_terms", "wrong_side"]
+__all__ = ["behind", "goal_distance", "pressing", "pushed_terms", "pushing_terms", "wrong_side"]
 
 _NEAR = 0.02  # metres from the goal within which the way there counts most
 _LEVEL = 0.03  # metres over an object's centre above which the tool is clear of it
+_SLACK, _CLEAR = 0.005, 0.065  # metres over it up to which the tool pushes, and from which it does not touch
+_REACH = 0.02  # metres farther than where it pushes that the tool still presses
 
 
 def pushed_terms(name: str, gripper: Gripper, success: Term) -> dict[str, tuple[float, Term]]:
@@ -84,6 +86,24 @@ def wrong_side(name: str, gripper: Gripper, contact: float) -> Term:
     return term
 
 
+def pressing(name: str, gripper: Gripper, contact: float) -> Term:
+    """How far (B,) a tool at the object's upper edge is from the heights at which it would not press it down, metres.
+
+    Args:
+        name: the object.
+        gripper: that pushes.
+        contact: distance, metres, of the tool from the object's centre where it pushes.
+    """
+
+    def term(points: Points, info: Info) -> Tensor:
+        offset = contacts.tool_centre(points, gripper) - contacts.centre(points, name)
+        beside = torch.sigmoid((contact + _REACH - offset[..., :2].norm(dim=-1)) / 0.005)
+        height = offset[..., 2]
+        return beside * torch.minimum(height - _SLACK, _CLEAR - height).clamp_min(0.0)
+
+    return term
+
+
 def pushing_terms(
     name: str, gripper: Gripper, contact: float, slowing: float | None = None
 ) -> dict[str, tuple[float, Term]]:
@@ -97,7 +117,8 @@ def pushing_terms(
     """
     return {
         "goal_distance": (2.0, goal_distance(name, slowing)),
-        "behind": (1.5, behind(name, gripper, contact)),
+        "behind": (8.0, behind(name, gripper, contact)),
         "wrong_side": (8.0, wrong_side(name, gripper, contact)),
+        "pressing": (20.0, pressing(name, gripper, contact)),
         "ground_contact": (0.5, terms.ground_contact),
     }

@@ -49,3 +49,13 @@ def test_a_sliding_object_counts_where_it_comes_to_rest():
     points, info = scene((0.0, 0.0, 0.2), (stop, 0.0, 0.0), velocity=0.04)
     assert float(pushes.goal_distance("object", slowing)(points, info)) == pytest.approx(0.0, abs=1e-4)
     assert float(pushes.goal_distance("object")(points, info)) == pytest.approx(5.0 * stop + 1.0, abs=1e-3)
+
+
+def test_a_tool_at_the_upper_edge_presses_and_a_low_or_a_clear_one_does_not():
+    term = pushes.pressing("object", FETCH, CONTACT)
+    low, edge, clear, far = (
+        float(term(*scene(place, (0.3, 0.0, 0.0))))
+        for place in ((-CONTACT, 0.0, 0.0), (-CONTACT, 0.0, 0.035), (-CONTACT, 0.0, 0.07), (-0.2, 0.0, 0.035))
+    )
+    assert edge == pytest.approx(0.03, rel=0.05)
+    assert low == clear == 0.0 and far < 1e-6
