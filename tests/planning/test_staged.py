@@ -12,7 +12,7 @@ from pwm_gym.evaluation import planning_table
 from pwm_gym.planning import Agent, MPPIConfig, Run, execute
 from pwm_gym.scene import batch_state
 
-FEW = MPPIConfig(samples=50, elites=16)
+FEW = MPPIConfig(samples=32, elites=10, horizon=6)
 
 
 def sideways(points, info):
@@ -45,18 +45,18 @@ def model_env():
 
 def test_plans_cross_from_one_stage_into_the_next(model_env):
     model_env.reset(seed=3)
-    cost = there_and_back(tool_of(model_env.scene()))
+    cost = there_and_back(tool_of(model_env.scene()), way=0.02)
     agent = Agent(model_env.model, config=FEW, cost=cost)
     agent.reset(0)
     told, left = [], []
-    for _ in range(25):
+    for _ in range(14):
         action = agent.act(model_env.scene())
         told.append(agent.stage[0])
         agent.advance(action)
         model_env.step(action)
         left.append(tool_of(model_env.scene()))
     assert list(dict.fromkeys(told)) == ["left", "back", "finished"]
-    assert max(left) > left[0] and told.index("finished") < 24
+    assert max(left) > left[0] and told.index("finished") < 13
     agent.reset(0)
     assert agent.stage == ()
 
@@ -81,7 +81,7 @@ def test_a_plans_costs_tell_stages_that_its_own_steps_reach(model_env):
 def test_a_runs_terms_follow_the_stages_of_its_episode(model_env, tmp_path):
     model_env.reset(seed=3)
     cost = there_and_back(tool_of(model_env.scene()), way=0.02)
-    run = execute(model_env, Agent(model_env.model, config=FEW, cost=cost), seed=3, max_steps=20, chunk=5)
+    run = execute(model_env, Agent(model_env.model, config=FEW, cost=cost), seed=3, max_steps=10, chunk=5)
     left = run.terms[STAGES_LEFT]
     assert left[0] == 40.0 and set(np.unique(left)) <= {0.0, 20.0, 40.0} and (np.diff(left) <= 0).all()
     assert left[-1] < 40.0
