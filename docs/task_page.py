@@ -19,7 +19,8 @@ _PLAYER = """```{{raw}} html
 ```
 
 Planned in the model and executed in the simulator: `pwm-gym plan --task {name} --episodes 1 --save runs/plans`, then
-`pwm-gym view` with `--mp4`, or with `--html` for the same in 3D. Teal is what the model predicted, purple what happened.
+`pwm-gym view` with `--mp4`, or with `--html` for the same in 3D. Teal is what the model predicted, purple what
+happened.
 """
 _ROLLOUT_HEAD = ["episodes", "Chamfer L1 (m)", "reward correlation", "objects at step 60 (mm)", "linear response (m)"]
 _MAKE = """```python

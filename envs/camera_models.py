@@ -96,13 +96,10 @@ class CompletedObservation:
         camera: viewpoint, sensor and completer.
 
     Raises:
-        PwmGymError: the robot has no cloud of its links.
         UnknownNameError: an unknown viewpoint, sensor or checkpoint of completion.
     """
 
     def __init__(self, task: Task, camera: CameraConfig) -> None:
-        if task.robot.cloud is None:
-            raise PwmGymError(f"robot {task.robot.name!r} has no cloud of its links; 'completed' observations need it")
         self.info: dict[str, Any] = {}
         self._task, self._sensor = task, camera.sensor
         get_sensor(camera.sensor)  # an unknown name is refused now

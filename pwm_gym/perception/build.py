@@ -9,7 +9,6 @@ import numpy as np
 from pwm_gym.cameras import DepthCamera
 from pwm_gym.cameras.viewpoints import CAMERA, CAMERA_SCALE
 from pwm_gym.completion import Completer, build_completer
-from pwm_gym.errors import PwmGymError
 from pwm_gym.perception import FrameRenderer, IdSegmenter, RenderedObserver, SceneObserver
 from pwm_gym.scene import Layout
 from pwm_gym.tasks.registry import Task
@@ -33,6 +32,8 @@ def build_observer(
 ) -> RenderedObserver:
     """An observer of a task's true scenes, as if by a depth camera and the robot's encoders.
 
+    Of a robot whose kinematics are not known, the links' poses are taken to be reported by its controller.
+
     Args:
         task: gives the robot.
         layout: of the scenes.
@@ -43,8 +44,7 @@ def build_observer(
         sensor: registered model of its errors.
     """
     made = build_completer(completer)
-    if task.robot.cloud is None:
-        raise PwmGymError(f"robot {task.robot.name!r} has no cloud of its links; a camera's view is not completed")
-    observer = SceneObserver(task.name, layout, task.robot.cloud(), IdSegmenter(layout), made, clouds=clouds)
+    robot = None if task.robot.cloud is None else task.robot.cloud()
+    observer = SceneObserver(task.name, layout, robot, IdSegmenter(layout), made, clouds=clouds)
     renderer = FrameRenderer(meshes, layout, camera or CAMERA.resize(CAMERA_SCALE), sensor)
     return RenderedObserver(observer, renderer)

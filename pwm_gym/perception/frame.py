@@ -20,7 +20,7 @@ __all__ = ["Frame", "check_masks", "load_frames"]
 
 _FORMAT = "pwm_gym.frame"
 _CAMERA = ("intrinsics", "pose", "width", "height")
-_OPTIONAL = ("colour", "segmentation", "joints")
+_OPTIONAL = ("colour", "segmentation", "joints", "links")
 _MASK = "mask/"  # the prefix of a mask's name in a frame's file
 
 
@@ -50,6 +50,9 @@ class Frame:
     """(H, W) int: a simulator's ids, as in :class:`~pwm_gym.cameras.View`."""
     joints: np.ndarray | None = None
     """(J,): the robot's joint angles (radians) and openings (metres)."""
+    links: np.ndarray | None = None
+    """(L, 7): the driven links' poses as the robot itself reports them (xyz metres, quaternion wxyz, base frame);
+    needed where its kinematics are not known."""
     masks: Mapping[str, np.ndarray] | None = None
     """Entity name to bool (H, W): masks that were recorded with the view."""
 
@@ -88,6 +91,11 @@ class Frame:
             if joints.ndim != 1 or not np.isfinite(joints).all():
                 raise PwmGymError(f"joints are {joints}; expected (J,) finite values")
             object.__setattr__(self, "joints", joints)
+        if self.links is not None:
+            links = np.asarray(self.links, np.float64)
+            if links.ndim != 2 or links.shape[1] != 7 or not np.isfinite(links).all():
+                raise PwmGymError(f"links have shape {links.shape}; expected (L, 7) finite values")
+            object.__setattr__(self, "links", links)
         if self.masks is not None:
             object.__setattr__(self, "masks", check_masks(self.masks, self.depth.shape))
 

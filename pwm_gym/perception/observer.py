@@ -20,7 +20,7 @@ from pwm_gym.perception.segmenters import Segmenter
 from pwm_gym.perception.tracking import Tracker, TrackingConfig
 from pwm_gym.robots import RobotCloud
 from pwm_gym.scene import Layout, Scene
-from pwm_gym.scene.se3 import pose7_from_matrix
+from pwm_gym.scene.se3 import matrix_from_pose7, pose7_from_matrix
 
 __all__ = ["Observation", "SceneObserver"]
 
@@ -53,25 +53,25 @@ class SceneObserver:
     Args:
         task: of the scenes, by name.
         layout: of the scenes; its effectors are the robot's links.
-        robot: gives the links' poses, and their clouds.
+        robot: gives the links' poses, and their clouds; None takes the poses that the robot reports (``Frame.links``).
         segmenter: finds the objects.
         completer: completes them.
         clouds: the layout's canonical points (N, 3), of which the links' replace the robot's own: a simulator's. They
-            are needed where bodies have joints.
+            are needed where bodies have joints, and without a robot.
         cleaning: of the depth.
         tracking: thresholds.
         table: height of the table in the base frame, metres, which no completed point is below; None where there is
             none.
 
     Raises:
-        SceneError: the robot lacks a link of the layout, or there are joints and no clouds.
+        SceneError: the robot lacks a link of the layout, or there are no clouds where they are needed.
     """
 
     def __init__(
         self,
         task: str,
         layout: Layout,
-        robot: RobotCloud,
+        robot: RobotCloud | None,
         segmenter: Segmenter,
         completer: Completer,
         *,
@@ -80,15 +80,10 @@ class SceneObserver:
         tracking: TrackingConfig | None = None,
         table: float | None = 0.0,
     ) -> None:
-        links = [e.name for e in layout if e.driven]
-        if missing := [name for name in links if name not in robot.layout.names]:
-            raise SceneError(f"the robot has no cloud of {', '.join(missing)}; it has {', '.join(robot.layout.names)}")
+        self._links = [e.name for e in layout if e.driven]
         self.task, self.layout, self.robot, self.table = task, layout, robot, table
         self.segmenter, self.completer, self.cleaning, self.tracking = segmenter, completer, cleaning, tracking
-        self._links = [robot.layout.index(name) for name in links]
-        self._own = {e.name: robot.clouds[robot.layout[e.name].slice] for e in layout if e.driven}
-        if clouds is not None:
-            self._own = {e.name: clouds[e.slice] for e in layout if e.driven}
+        self._own = self._clouds_of_links(robot, clouds)
         known = furniture_names(layout)
         if known and clouds is None:
             raise SceneError(
@@ -97,6 +92,17 @@ class SceneObserver:
         self._canonical = {} if clouds is None else {e.name: clouds[e.slice] for e in layout if not e.driven}
         self._furniture = Furniture(layout, self._canonical, tracking)
         self.reset()
+
+    def _clouds_of_links(self, robot: RobotCloud | None, clouds: np.ndarray | None) -> dict[str, np.ndarray]:
+        """Link -> canonical points (n, 3)."""
+        names = None if robot is None else robot.layout.names
+        if names is not None and (missing := [name for name in self._links if name not in names]):
+            raise SceneError(f"the robot has no cloud of {', '.join(missing)}; it has {', '.join(names)}")
+        if clouds is not None:
+            return {name: clouds[self.layout[name].slice] for name in self._links}
+        if robot is None:
+            raise SceneError("robot=None and clouds=None; expected one of them to tell the links' clouds")
+        return {name: robot.clouds[robot.layout[name].slice] for name in self._links}
 
     def reset(self) -> None:
         """Forget the episode: the next view's objects are completed."""
@@ -123,7 +129,7 @@ class SceneObserver:
             carried: object -> link, of what is grasped: while it is hidden, it goes with the link.
 
         Raises:
-            SceneError: the frame has no joints, or an object is not seen in the first view.
+            SceneError: the frame does not tell where the robot is, or an object is not seen in the first view.
             PwmGymError: what segmenter, cleaning or completer say of the first view.
         """
         seconds: dict[str, float] = {}
@@ -146,12 +152,22 @@ class SceneObserver:
     def _move_robot(self, frame: Frame) -> None:
         if frame.joints is None:
             raise SceneError("the frame has no joints; expected the robot's joint angles (J,)")
-        poses = self.robot.poses(torch.as_tensor(frame.joints, dtype=torch.float64)).numpy()[self._links]
+        poses = self._link_poses(frame, frame.joints)
         if not self._poses:
             self._poses.extend([poses] * 2)
             self._joints.append(frame.joints)
         self._poses.appendleft(poses)
         self._joints.appendleft(frame.joints)
+
+    def _link_poses(self, frame: Frame, joints: np.ndarray) -> np.ndarray:
+        """The driven links' poses (L, 4, 4): by forward kinematics, or as the robot reports them."""
+        if self.robot is not None:
+            index = [self.robot.layout.index(name) for name in self._links]
+            return self.robot.poses(torch.as_tensor(joints, dtype=torch.float64)).numpy()[index]
+        if frame.links is None or len(frame.links) != len(self._links):
+            found = "no links" if frame.links is None else f"{len(frame.links)} links"
+            raise SceneError(f"the frame has {found}; expected the poses (L, 7) of {', '.join(self._links)}")
+        return matrix_from_pose7(torch.as_tensor(frame.links)).numpy()
 
     def _partials(self, frame: Frame, masks: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
         """Clean points of what is in sight; in the first view all must be, but for what a body with joints may hide."""

@@ -23,7 +23,7 @@ __all__ = ["FrameRenderer", "RenderedObserver"]
 
 
 class FrameRenderer:
-    """What a depth camera and the robot's encoders tell of a scene.
+    """What a depth camera and the robot itself tell of a scene.
 
     Args:
         meshes: the entities' surfaces, metres, each in its own frame.
@@ -37,6 +37,7 @@ class FrameRenderer:
     ) -> None:
         self.layout, self.camera = layout, camera
         self._caster, self._sensor = RayCaster(meshes, layout), get_sensor(sensor)
+        self._driven = [i for i, e in enumerate(layout) if e.driven]
 
     def __call__(self, truth: Scene, rng: np.random.Generator) -> Frame:
         """A frame without colour, with the entities' true ids as its segmentation.
@@ -53,7 +54,8 @@ class FrameRenderer:
         poses = matrix_from_pose7(torch.as_tensor(truth.poses[0], dtype=torch.float64)).numpy()
         view = self._caster.view(self.camera, poses)
         depth = self._sensor.apply(view.depth, self.camera, rng)
-        return Frame(None, depth, self.camera, view.segmentation.astype(np.int64), truth.joints[0])
+        links = truth.poses[0][self._driven]
+        return Frame(None, depth, self.camera, view.segmentation.astype(np.int64), truth.joints[0], links)
 
 
 class RenderedObserver:

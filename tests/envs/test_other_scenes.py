@@ -10,7 +10,7 @@ from gymnasium.utils.env_checker import check_env
 
 from pwm_gym.envs import ModelEnv, ModelVectorEnv, SimEnv
 from pwm_gym.envs.camera_models import carried_objects
-from pwm_gym.errors import PwmGymError, SceneError, UnknownNameError
+from pwm_gym.errors import SceneError, UnknownNameError
 from pwm_gym.planning import Agent, MPPIConfig, Run, execute
 from pwm_gym.scene import Layout, RigidState, sample_surface
 from pwm_gym.tasks import get_task
@@ -147,9 +147,23 @@ def test_a_camera_sees_the_episodes_assets_and_what_hides_what(toy):
     assert block(env).shape == (60, 3) and np.abs(block(env)).max() < 0.03  # of the small block
 
 
-def test_a_robot_without_a_cloud_cannot_be_completed(toy):
-    with pytest.raises(PwmGymError, match="robot 'two hands' has no cloud of its links"):
-        SimEnv("Toy", observation="completed")
+def test_a_robot_of_unknown_kinematics_is_where_it_says_it_is(toy):
+    """Links stand as reported, with the twin's own clouds; objects are completed from what the camera sees."""
+    camera = {"viewpoint": {"eye": (0.3, 0.0, 1.2), "target": (0.5, 0.0, 0.0), "width": 256, "height": 256}}
+    env = SimEnv("Toy", observation="completed", camera={**camera, "completer": "hull"})
+    env.reset(seed=0)
+    env.step(REST)
+    seen, truth = env.scene(), env.scene(truth=True)
+    for entity in env.layout:
+        i, part = env.layout.index(entity.name), entity.slice
+        if entity.driven:
+            np.testing.assert_allclose(seen.poses[:, i, :3], truth.poses[:, i, :3], atol=1e-6)
+            np.testing.assert_array_equal(seen.clouds[part], truth.clouds[part])
+        else:
+            assert not np.array_equal(seen.clouds[part], truth.clouds[part])
+            away = seen.poses[0, i, :2] - truth.poses[0, i, :2]  # how far down it goes is not seen from above
+            assert np.linalg.norm(away) < 0.02
+    assert set(env.reset(seed=1)[1]["completion_error"]) == {e.name for e in env.layout if e.loose}
 
 
 # Which object is carried -------------------------------------------------------------------------------------------

@@ -19,7 +19,7 @@ def arrays(seed=0):
 
 
 def same(one, other):
-    for name in ("colour", "depth", "segmentation", "joints"):
+    for name in ("colour", "depth", "segmentation", "joints", "links"):
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
     np.testing.assert_array_equal(one.camera.pose, other.camera.pose)
     np.testing.assert_array_equal(one.camera.intrinsics, other.camera.intrinsics)
@@ -60,6 +60,7 @@ def test_pixels_without_a_measurement_are_not_valid():
         {
             "segmentation": np.arange(48, dtype=np.int16).reshape(6, 8) - 2,
             "joints": np.linspace(0, 1, 9),
+            "links": np.linspace(-1, 1, 21).reshape(3, 7),
             "masks": {"cube_a": np.eye(6, 8, dtype=bool), "a cup/lid": np.ones((6, 8), bool)},
         },
     ],
@@ -111,6 +112,8 @@ def test_depth_alone_is_a_recording(tmp_path):
         ({"segmentation": np.zeros((6, 7), int)}, r"segmentation has shape \(6, 7\)"),
         ({"segmentation": np.zeros((6, 8))}, r"type float64; expected \(6, 8\) integers"),
         ({"joints": np.array([0.0, np.nan])}, "joints are .*nan"),
+        ({"links": np.zeros((3, 6))}, r"links have shape \(3, 6\); expected \(L, 7\) finite values"),
+        ({"links": np.full((3, 7), np.nan)}, r"links have shape \(3, 7\); expected \(L, 7\) finite values"),
         ({"masks": {"cube": np.zeros((5, 5), bool)}}, r"mask of 'cube' has shape \(5, 5\)"),
         ({"masks": {"cube": np.zeros((6, 8), np.uint8)}}, "mask of 'cube' has type uint8"),
         ({"masks": [np.zeros((6, 8), bool)]}, "masks are a list"),

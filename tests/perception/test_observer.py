@@ -153,3 +153,17 @@ def test_the_canonical_frame_of_a_box_is_its_own(yaw):
     pose = _upright_frame(corners @ turn.T + [0.5, 0.1, 0])
     np.testing.assert_allclose(pose[:3, 3], [0.5, 0.1, 0.02], atol=1e-9)
     np.testing.assert_allclose(pose[:3, :3], turn, atol=1e-6)
+
+
+def test_without_a_robot_the_frame_tells_where_its_links_are(world, look):
+    simulator, _, clouds = world
+    layout, links = TASK.layout, simulator.poses()[:3]
+    observer = SceneObserver("PickCube", layout, None, IdSegmenter(layout), HullCompleter(), clouds=clouds)
+    seen = observer(replace(look(), links=links), simulator.goal())
+    np.testing.assert_allclose(seen.scene.poses[0, :3, :3], links[:, :3], atol=1e-6)
+    with pytest.raises(SceneError, match="the frame has no links; expected the poses .L, 7. of hand, left_gripper"):
+        observer(look(), simulator.goal())
+    with pytest.raises(SceneError, match="the frame has 2 links; expected"):
+        observer(replace(look(), links=links[:2]), simulator.goal())
+    with pytest.raises(SceneError, match="robot=None and clouds=None; expected one of them"):
+        SceneObserver("PickCube", layout, None, IdSegmenter(layout), HullCompleter())

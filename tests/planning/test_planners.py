@@ -186,7 +186,7 @@ def test_a_foreign_configuration_is_refused():
 
 
 def test_a_proposal_is_taken_where_it_is_cheaper(config):
-    """The optimum is proposed to one environment, and the worst sequence to another, for a planner that hardly seeks."""
+    """The best sequence is proposed to one environment, a bad one to another, for a planner that hardly seeks."""
     lazy = replace(config, noise=noise(1e-6, 0.0, 1.0))
     planner, steps = build_planner(lazy, TWO), 8
     objective = point_masses(torch.zeros(2, 2), TARGETS[:2])
