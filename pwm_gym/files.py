@@ -21,7 +21,7 @@ import numpy as np
 from pwm_gym.errors import PwmGymError, writing
 from pwm_gym.schema import decode
 
-__all__ = ["NoHeader", "check_finite", "load_arrays", "new_folder", "save_arrays", "write_atomically"]
+__all__ = ["NoHeader", "check_finite", "load_array", "load_arrays", "new_folder", "save_arrays", "write_atomically"]
 
 
 def write_atomically(path: Path, content: bytes) -> None:
@@ -150,6 +150,18 @@ def load_arrays(
         if gaps is not None and name not in gaps:
             check_finite(array, f"{path}: {name}", error)
     return arrays, found
+
+
+def load_array(path: str | Path, error: type[PwmGymError]) -> np.ndarray:
+    """The numbers of a ``.npy`` file; ``error`` is raised where it holds none."""
+    try:
+        array = np.load(path, allow_pickle=False)
+    except _DAMAGE as cause:
+        raise error(f"{path} is not an array ({cause})") from cause
+    if not isinstance(array, np.ndarray) or array.dtype.kind not in _NUMBERS:
+        found = array.dtype if isinstance(array, np.ndarray) else "an archive"
+        raise error(f"{path} is {found}; expected an array of numbers")
+    return array
 
 
 def check_finite(array: np.ndarray, what: str, error: type[PwmGymError]) -> None:

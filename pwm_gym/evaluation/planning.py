@@ -20,7 +20,16 @@ from pwm_gym.scene import Scene
 from pwm_gym.schema import read_json
 from pwm_gym.seeds import seed_range
 
-__all__ = ["episodes_in", "load_runs", "plan_episodes", "planning_table", "run_episodes", "save_runs", "wilson"]
+__all__ = [
+    "claim_folder",
+    "episodes_in",
+    "load_runs",
+    "plan_episodes",
+    "planning_table",
+    "run_episodes",
+    "save_runs",
+    "wilson",
+]
 
 _RECIPE = "planned-by.json"
 
@@ -54,7 +63,7 @@ def run_episodes(
     """
     runs = []
     if folder is not None:
-        _claim(folder, dict(recipe or {}))
+        claim_folder(folder, dict(recipe or {}))
     with tqdm(seeds, unit="episode", disable=not progress, desc="plan") as bar:
         for seed in bar:
             run = None if folder is None else _recorded(folder, seed)
@@ -90,8 +99,12 @@ def episodes_in(world: str, agent: Agent, episodes: int, objects: str = "", prog
         return run_episodes(env, agent, seed_range("plan_test", episodes), task.max_episode_steps, progress=progress)
 
 
-def _claim(folder: Path, recipe: dict[str, Any]) -> None:
-    """Note by what a folder's runs are planned, or compare with what is noted there."""
+def claim_folder(folder: Path, recipe: dict[str, Any]) -> None:
+    """Note by what a folder's runs are planned, or compare with what is noted there.
+
+    Raises:
+        PwmGymError: it is another recipe, or the folder holds runs of none.
+    """
     path, told = folder / _RECIPE, json.loads(json.dumps(recipe))
     if not path.exists():
         if any(folder.glob(_record("*"))):
