@@ -70,5 +70,7 @@ def write_results(path: Path, results: dict[str, Any]) -> None:
 
 def _program() -> str:
     """What was started; ``python -m pwm_gym`` is told by the name that it is installed under."""
-    name = Path(sys.argv[0]).name
-    return "pwm-gym" if name == "__main__.py" else name
+    path = Path(sys.argv[0])
+    if path.name == "__main__.py":
+        return "pwm-gym"
+    return f"{path.parent.name}/{path.name}" if path.suffix == ".py" else path.name

@@ -13,7 +13,7 @@ from typing import Any
 from pwm_gym.errors import PwmGymError
 from pwm_gym.evaluation.record import describe_commit
 from pwm_gym.files import write_atomically
-from pwm_gym.workers import work_through
+from pwm_gym.workers import Workers, work_through
 
 __all__ = ["Piece", "run_pieces"]
 
@@ -56,12 +56,14 @@ class Piece:
         return dict(found)
 
 
-def run_pieces(pieces: Sequence[Piece], workers: int = 1, tell: Callable[[str], None] = print) -> list[dict[str, Any]]:
+def run_pieces(
+    pieces: Sequence[Piece], workers: int | Workers = 1, tell: Callable[[str], None] = print
+) -> list[dict[str, Any]]:
     """Make what is missing, and return every piece's result.
 
     Args:
         pieces: of the table; those that share a recipe are made once.
-        workers: pieces at once, each in a process of its own where there are several.
+        workers: pieces at once, each in a process of its own where there are several, or who makes them.
         tell: is given one line a finished piece, with the time that it took.
 
     Raises:
