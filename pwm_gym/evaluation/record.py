@@ -59,7 +59,7 @@ def describe_commit() -> str | None:
 def write_results(path: Path, results: dict[str, Any]) -> None:
     """Write ``results`` to ``path`` beside the command, machine, commit and date."""
     record = {
-        "command": shlex.join([_program(), *sys.argv[1:]]),
+        "command": " ".join([_program(), shlex.join(sys.argv[1:])]).strip(),
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
         "commit": describe_commit(),
         "machine": describe_machine(),
@@ -73,4 +73,4 @@ def _program() -> str:
     path = Path(sys.argv[0])
     if path.name == "__main__.py":
         return "pwm-gym"
-    return f"{path.parent.name}/{path.name}" if path.suffix == ".py" else path.name
+    return f"python {path.parent.name}/{path.name}" if path.suffix == ".py" else path.name
