@@ -20,7 +20,7 @@ from pwm_gym.agents.worlds import make_world
 from pwm_gym.collection.scenes import simulated_bank
 from pwm_gym.dynamics import SceneBank, load_checkpoint, resolve
 from pwm_gym.errors import CheckpointError, PwmGymError
-from pwm_gym.files import write_atomically
+from pwm_gym.files import replacing, write_atomically
 from pwm_gym.process import prepare_process
 from pwm_gym.schema import read_json
 from pwm_gym.tasks import Task, get_task
@@ -144,8 +144,8 @@ class _Saver(BaseCallback):
         """Write the policy, and the state that the run goes on from."""
         told = self.told()
         save_agent(folder or self.out, self.model.policy, self.task, self.config, told)
-        self.model.save(self.out / f".{_STATE}")
-        (self.out / f".{_STATE}").replace(self.out / _STATE)
+        with replacing(self.out / _STATE) as file:
+            self.model.save(file)
         run = {"task": self.task.name, **asdict(self.config)}
         write_atomically(self.out / _PROGRESS, json.dumps({"run": run, "seconds": told["seconds"]}).encode())
 

@@ -16,6 +16,7 @@ from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
 
 from pwm_gym.errors import CheckpointError, writing
+from pwm_gym.files import replacing
 from pwm_gym.schema import convert, read_json
 
 __all__ = ["digest", "load_weights", "read_description", "rebuild", "save_weights"]
@@ -48,12 +49,13 @@ def save_weights(folder: Path, model: nn.Module, description: Mapping[str, Any])
     weights = {k: v.detach().cpu().contiguous() for k, v in model.state_dict().items()}
     _check_finite(weights, model, f"the weights for {folder}")
     text = json.dumps(_without_nan(description), indent=2, allow_nan=False)
-    with writing(folder, SafetensorError):
-        folder.mkdir(parents=True, exist_ok=True)
-        save_file(weights, folder / f".{_WEIGHTS}")
-        (folder / f".{_DESCRIPTION}").write_text(text)
-        for name in (_WEIGHTS, _DESCRIPTION):
-            (folder / f".{name}").replace(folder / name)
+    with (
+        writing(folder),
+        replacing(folder / _DESCRIPTION) as description_file,
+        replacing(folder / _WEIGHTS, SafetensorError) as weights_file,
+    ):
+        save_file(weights, weights_file)
+        description_file.write_text(text)
 
 
 def read_description(folder: Path, form: str, schema: int, fields: type, old: str = "") -> dict[str, Any]:
