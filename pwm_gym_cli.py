@@ -42,6 +42,7 @@ COMMANDS = (
 """Names of the subcommands. ``check-cost`` is the class ``CheckCost`` of ``pwm_gym/commands/check_cost.py``."""
 
 _NOT_WRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS)
+_FORBIDDEN = (errno.EACCES, errno.EPERM, errno.ENOTDIR, errno.EISDIR)
 _USAGE = "usage: pwm-gym [-h] [--version] COMMAND [OPTIONS]"
 _COLUMN = 14  # of the table of commands
 
@@ -76,9 +77,10 @@ def _run(name: str, args: Sequence[str]) -> None:
     except PwmGymError as error:
         raise SystemExit(f"pwm-gym: {error}") from None
     except OSError as error:
-        if error.errno not in _NOT_WRITABLE:
+        if error.errno not in (*_NOT_WRITABLE, *_FORBIDDEN):
             raise
-        raise SystemExit(f"pwm-gym: {error.filename or 'a file'} cannot be written ({error.strerror})") from None
+        told = "written" if error.errno in _NOT_WRITABLE else "read or written"
+        raise SystemExit(f"pwm-gym: {error.filename or 'a file'} cannot be {told} ({error.strerror})") from None
 
 
 def _fail(name: str) -> NoReturn:

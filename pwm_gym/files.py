@@ -2,26 +2,40 @@
 
 from __future__ import annotations
 
+import glob
 import io
 import json
 import os
 import shutil
 import struct
+import time
 import tokenize
 import zipfile
 import zlib
 from collections.abc import Collection, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
+from uuid import uuid4
 
 import numpy as np
 
 from pwm_gym.errors import PwmGymError, writing
 from pwm_gym.schema import decode
 
-__all__ = ["NoHeader", "check_finite", "load_arrays", "new_folder", "save_arrays", "write_atomically"]
+__all__ = [
+    "NoHeader",
+    "check_finite",
+    "load_array",
+    "load_arrays",
+    "new_folder",
+    "replacing",
+    "save_arrays",
+    "write_atomically",
+]
+
+_STALE = 3600.0  # seconds after which nobody writes a temporary file any more
 
 
 def write_atomically(path: Path, content: bytes) -> None:
@@ -30,18 +44,43 @@ def write_atomically(path: Path, content: bytes) -> None:
     Raises:
         WriteError: the disk is full, or the folder may not be written to.
     """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    with writing(path):
+    with replacing(path) as temporary, temporary.open("wb") as file:
+        file.write(content)
+        file.flush()
+        os.fsync(file.fileno())
+
+
+@contextmanager
+def replacing(path: Path, *also: type[Exception]) -> Iterator[Path]:
+    """A file to write beside ``path``, whose place it takes at the end: there is all of it, or what was there before.
+
+    Each call has a file of its own, so that several processes, of several machines, may write ``path`` at once; what a
+    killed one left is cleared away after an hour.
+
+    Args:
+        path: what is replaced; its folder is made.
+        also: what a library raises in the system's place.
+
+    Raises:
+        WriteError: the disk is full, or the folder may not be written to.
+    """
+    temporary = path.with_name(f".{path.name}.{uuid4().hex[:12]}")
+    with writing(path, *also):
         path.parent.mkdir(parents=True, exist_ok=True)
+        _clear(path)
         try:
-            with temporary.open("wb") as file:
-                file.write(content)
-                file.flush()
-                os.fsync(file.fileno())
+            yield temporary
             temporary.replace(path)
-        except OSError:
+        finally:
             temporary.unlink(missing_ok=True)
-            raise
+
+
+def _clear(path: Path) -> None:
+    """Remove what processes that were killed left of ``path``."""
+    for left in path.parent.glob(f".{glob.escape(path.name)}.*"):
+        with suppress(FileNotFoundError):  # another process clears, too
+            if time.time() - left.stat().st_mtime > _STALE:
+                left.unlink()
 
 
 @contextmanager
@@ -150,6 +189,18 @@ def load_arrays(
         if gaps is not None and name not in gaps:
             check_finite(array, f"{path}: {name}", error)
     return arrays, found
+
+
+def load_array(path: str | Path, error: type[PwmGymError]) -> np.ndarray:
+    """The numbers of a ``.npy`` file; ``error`` is raised where it holds none."""
+    try:
+        array = np.load(path, allow_pickle=False)
+    except _DAMAGE as cause:
+        raise error(f"{path} is not an array ({cause})") from cause
+    if not isinstance(array, np.ndarray) or array.dtype.kind not in _NUMBERS:
+        found = array.dtype if isinstance(array, np.ndarray) else "an archive"
+        raise error(f"{path} is {found}; expected an array of numbers")
+    return array
 
 
 def check_finite(array: np.ndarray, what: str, error: type[PwmGymError]) -> None:

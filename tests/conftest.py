@@ -6,6 +6,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 import torch
+from hypothesis import settings
 from synthetic import WORLDS, Body, Recorder, World
 
 import pwm_gym
@@ -13,6 +14,11 @@ from pwm_gym.collection import CollectConfig, collect
 from pwm_gym.costs import COSTS
 from pwm_gym.data import load_split
 from pwm_gym.tasks import get_task
+
+# The same few examples in every run; `pytest tests/properties --hypothesis-profile thorough` looks for new ones.
+settings.register_profile("quick", max_examples=12, derandomize=True, deadline=None, database=None)
+settings.register_profile("thorough", max_examples=1000, deadline=None)
+settings.load_profile("quick")
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -301,7 +301,7 @@ def test_demo_draws_both_worlds(tmp_path, capsys):
 @pytest.mark.slow
 def test_bench_writes_its_results(tmp_path):
     args = "bench --seconds 1 --num-envs 1 4 --samples 4 8 12 --horizons 2 3 --points 300 1200 --planners 1 --threads 1"
-    args += " --completer hull"
+    args += " --completer hull --adapter 4"
     main([*args.split(), "--json", str(tmp_path / "bench.json"), "--pictures", str(tmp_path)])
     results = json.loads((tmp_path / "bench.json").read_text())
     assert results["simulator_steps_per_second"] > 0
@@ -314,6 +314,7 @@ def test_bench_writes_its_results(tmp_path):
         "8 x 3 x 1200",
         "8 x 2 x 300",
     }
+    assert results["adapter"]["num_envs"] == 4 and results["adapter"]["overhead"] > -1.0
     assert set(results["planners"]) == {"pwm_gym", "pytorch_mppi", "torchrl"}
     assert (tmp_path / "growth.png").exists()
     assert set(results["perception"]["first"]) == {"robot", "segment", "clean", "complete", "all"}

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import copy
 import errno
+import json
 import os
 import resource
 from contextlib import contextmanager
+from multiprocessing import get_context
 
 import numpy as np
 import pytest
@@ -15,8 +17,8 @@ import torch
 from pwm_gym.cli import main
 from pwm_gym.data import load_split
 from pwm_gym.errors import DatasetError, PwmGymError, WriteError, writing
-from pwm_gym.files import load_arrays, new_folder, save_arrays, write_atomically
-from pwm_gym.learning.weights import save_weights
+from pwm_gym.files import load_arrays, new_folder, replacing, save_arrays, write_atomically
+from pwm_gym.learning.weights import load_weights, save_weights
 
 NOISE = {"noise": np.random.default_rng(0).uniform(size=10_000)}  # which does not get smaller
 
@@ -42,8 +44,53 @@ def test_a_file_that_does_not_fit_is_left_as_it_was(tmp_path):
     assert list(tmp_path.iterdir()) == [path]
 
 
+def test_several_processes_may_write_one_file(tmp_path):
+    path = tmp_path / "note"
+    with replacing(path) as one:
+        one.write_text("one")
+        with replacing(path) as other:
+            other.write_text("other")
+        assert path.read_text() == "other" and one != other
+    assert path.read_text() == "one" and list(tmp_path.iterdir()) == [path]
+
+
+def test_what_a_killed_process_left_is_cleared_away_later(tmp_path):
+    path, fresh, stale = (tmp_path / name for name in ("note", ".note.fresh", ".note.stale"))
+    for left in (fresh, stale):
+        left.write_text("half")
+    os.utime(stale, (0, 0))
+    write_atomically(path, b"all")
+    assert {*tmp_path.iterdir()} == {path, fresh}
+
+
+def test_two_processes_collect_and_train_in_one_folder(worlds, recorder, tmp_path):
+    """Each writes what it would have written alone, and neither reads half of the other's."""
+    start = get_context("fork").Barrier(2)
+
+    def write(number):
+        start.wait()
+        for k in range(30):
+            save_weights(tmp_path, torch.nn.Linear(50, 50), {"k": k, "number": number})
+            write_atomically(tmp_path / "shard", bytes([k]) * 100_000)
+
+    processes = [get_context("fork").Process(target=write, args=(number,)) for number in range(2)]
+    for process in processes:
+        process.start()
+    seen = 0
+    while any(process.is_alive() for process in processes):
+        if (tmp_path / "shard").exists():
+            content = (tmp_path / "shard").read_bytes()
+            assert content == content[:1] * 100_000
+        if (tmp_path / "config.json").exists():
+            load_weights(torch.nn.Linear(50, 50), tmp_path)
+            assert json.loads((tmp_path / "config.json").read_text())["number"] in (0, 1)
+            seen += 1
+    assert seen and not any(process.exitcode for process in processes)
+    assert not list(tmp_path.glob(".*"))
+
+
 def test_weights_that_do_not_fit_are_named(tmp_path):
-    with room_for(20_000), pytest.raises(WriteError, match=f"{tmp_path / 'checkpoint'} cannot be written"):
+    with room_for(20_000), pytest.raises(WriteError, match=f"{tmp_path / 'checkpoint' / 'model.safetensors'} cannot"):
         save_weights(tmp_path / "checkpoint", torch.nn.Linear(100, 100), {})
 
 
@@ -107,3 +154,32 @@ def test_a_command_ends_in_one_line(worlds, recorder, tmp_path, monkeypatch):
     with pytest.raises(SystemExit) as end:
         main(["envs"])
     assert str(end.value) == "pwm-gym: picture.png cannot be written (No space left on device)"
+
+    def forbidden(self):
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), "picture.png")
+
+    monkeypatch.setattr("pwm_gym.commands.envs.Envs.run", forbidden)
+    with pytest.raises(SystemExit) as end:
+        main(["envs"])
+    assert str(end.value) == "pwm-gym: picture.png cannot be read or written (Permission denied)"
+
+
+@pytest.mark.parametrize(
+    "args",
+    [
+        "collect --out {out}",
+        "train --data {data} --out {out}",
+        "train-agent --algo ppo --out {out}",
+        "train-agent --data {data} --out {out}",
+        "plan --episodes 1 --threads 1 --save {out}",
+        "rank random expert:0 --scenes 1 --out {out}",
+        "publish --checkpoint panda --out {out}",
+    ],
+)
+def test_commands_say_at_once_that_their_folder_cannot_be_written(args, worlds, recorder, tmp_path):
+    for split in ("train", "validation"):
+        data = recorder.write(recorder.dataset(worlds["cube"], "PickCube"), tmp_path / "data", split)
+    (tmp_path / "file").write_text("")
+    out = tmp_path / "file" / "below"
+    with pytest.raises(SystemExit, match="^pwm-gym: .*file/below.* cannot be written \\(Not a directory\\)$"):
+        main(args.format(out=out, data=data).split())

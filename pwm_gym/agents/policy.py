@@ -19,7 +19,7 @@ from pwm_gym.agents.config import ALGORITHMS, AgentConfig
 from pwm_gym.agents.features import EntityFeatures, PointFeatures
 from pwm_gym.envs.common import OBSERVATIONS, action_space
 from pwm_gym.errors import CheckpointError, PwmGymError
-from pwm_gym.learning.weights import load_weights, read_description, save_weights
+from pwm_gym.learning.weights import load_weights, read_description, rebuild, save_weights
 from pwm_gym.policies.network import check_entities
 from pwm_gym.scene import SCHEMA, Layout, RigidState
 from pwm_gym.tasks import Task, get_task
@@ -109,7 +109,7 @@ def load_agent(folder: str | Path, task: str | None = None) -> LearnedPolicy:
     except PwmGymError as error:
         raise CheckpointError(f"{folder}: {error}") from error
     space = OBSERVATIONS[config.observation].space(layout, known.goal_size)
-    policy = _build(known, config, space)
+    policy = rebuild(folder, {"width": config.width}, lambda: _build(known, config, space))
     load_weights(_actor(policy), folder)
     return LearnedPolicy(policy, layout, config.observation)
 
@@ -117,8 +117,7 @@ def load_agent(folder: str | Path, task: str | None = None) -> LearnedPolicy:
 def _build(task: Task, config: AgentConfig, space: gym.Space[Any]) -> BasePolicy:
     """An untrained policy of the same shape."""
     kind: Any = algorithm_class(config.algorithm).policy_aliases[policy_name(config)]
-    with torch.random.fork_rng(devices=[]):
-        return kind(space, action_space(task.action_size), lambda _: 0.0, **policy_settings(task, config))
+    return kind(space, action_space(task.action_size), lambda _: 0.0, **policy_settings(task, config))
 
 
 def _actor(policy: Any) -> nn.Module:

@@ -23,6 +23,7 @@ from pwm_gym.process import prepare_process
 from pwm_gym.scene import RigidState, Scene, batch_state
 from pwm_gym.seeds import seed_range
 from pwm_gym.tasks import get_task
+from pwm_gym.workers import Workers
 
 __all__ = ["rank_contestants", "rank_policies", "succeeds_in_model", "succeeds_in_twin"]
 
@@ -65,7 +66,7 @@ def rank_contestants(
     checkpoint: str = "default",
     max_steps: int | None = None,
     floor: bool = True,
-    workers: int = 1,
+    workers: int | Workers = 1,
     tell: Callable[[str], None] = print,
 ) -> dict[str, Any]:
     """Rank policies by name; what a killed run has finished is kept.
@@ -78,7 +79,7 @@ def rank_contestants(
         checkpoint: the world model's folder or shipped name.
         max_steps: of an episode; None takes the task's limit.
         floor: whether to rank the twin against itself on as many other scenes, too: what no model can be better than.
-        workers: policies at once.
+        workers: policies at once, or who runs them.
         tell: is given a line a finished policy.
 
     Raises:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import time
 from contextlib import closing
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +19,8 @@ from pwm_gym.agents.policy import algorithm_class, policy_name, policy_settings,
 from pwm_gym.agents.worlds import make_world
 from pwm_gym.collection.scenes import simulated_bank
 from pwm_gym.dynamics import SceneBank, load_checkpoint, resolve
-from pwm_gym.errors import PwmGymError
-from pwm_gym.files import write_atomically
+from pwm_gym.errors import CheckpointError, PwmGymError
+from pwm_gym.files import replacing, write_atomically
 from pwm_gym.process import prepare_process
 from pwm_gym.schema import read_json
 from pwm_gym.tasks import Task, get_task
@@ -28,6 +28,14 @@ from pwm_gym.tasks import Task, get_task
 __all__ = ["train"]
 
 _STATE, _PROGRESS, _SCENES = "training-state.zip", "progress.json", "scenes.npz"
+
+
+@dataclass(frozen=True)
+class _Progress:
+    """Whose folder it is, and the seconds that the training took so far."""
+
+    run: dict[str, Any]
+    seconds: float
 
 
 def train(task: str, out: Path, config: AgentConfig | None = None, progress: bool = True) -> dict[str, Any]:
@@ -67,12 +75,12 @@ def _claim(out: Path, task: Task, config: AgentConfig) -> float:
     if not path.exists():
         write_atomically(path, json.dumps({"run": told, "seconds": 0.0}).encode())
         return 0.0
-    found = read_json(path, dict[str, Any], PwmGymError)
-    was = found.get("run", {})
+    found = read_json(path, _Progress, PwmGymError)
+    was = found.run
     if other := sorted(key for key in {*was, *told} - {"threads"} if was.get(key) != told.get(key)):
         before, now = ({key: each.get(key) for key in other} for each in (was, told))
         raise PwmGymError(f"{out} holds a run of {before}; expected {now}, or another folder")
-    return float(found.get("seconds", 0.0))
+    return found.seconds
 
 
 def _scenes(task: Task, config: AgentConfig, out: Path) -> SceneBank | None:
@@ -88,8 +96,11 @@ def _scenes(task: Task, config: AgentConfig, out: Path) -> SceneBank | None:
 def _learner(task: Task, config: AgentConfig, world: Any, out: Path) -> BaseAlgorithm:
     """A new algorithm, or the one that a killed run left."""
     kind: Any = algorithm_class(config.algorithm)
-    if (out / _STATE).exists():
-        return kind.load(out / _STATE, world, device=config.device)
+    if (path := out / _STATE).exists():
+        try:
+            return kind.load(path, world, device=config.device)
+        except Exception as error:  # of a pickle: whatever it may be
+            raise CheckpointError(f"{path} is truncated or foreign ({error}); delete it to start anew") from error
     shapes = policy_settings(task, config)
     return kind(policy_name(config), world, policy_kwargs=shapes, **config.settings())
 
@@ -133,8 +144,8 @@ class _Saver(BaseCallback):
         """Write the policy, and the state that the run goes on from."""
         told = self.told()
         save_agent(folder or self.out, self.model.policy, self.task, self.config, told)
-        self.model.save(self.out / f".{_STATE}")
-        (self.out / f".{_STATE}").replace(self.out / _STATE)
+        with replacing(self.out / _STATE) as file:
+            self.model.save(file)
         run = {"task": self.task.name, **asdict(self.config)}
         write_atomically(self.out / _PROGRESS, json.dumps({"run": run, "seconds": told["seconds"]}).encode())
 

@@ -104,4 +104,6 @@ class AssetFolder:
             raise PwmGymError(f"{path} is no readable mesh ({error})") from error
         if not len(mesh.faces) or not np.isfinite(mesh.vertices).all():
             raise PwmGymError(f"{path} has no faces, or vertices that are not finite")
+        if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):
+            raise PwmGymError(f"{path} has faces of vertices that it lacks; expected 0 to {len(mesh.vertices) - 1}")
         return mesh

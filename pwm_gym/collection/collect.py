@@ -24,7 +24,7 @@ from pwm_gym.scene import SCHEMA, sample_clouds
 from pwm_gym.seeds import RANGES
 from pwm_gym.sim import Simulator
 from pwm_gym.tasks import Task, get_task
-from pwm_gym.workers import work_through
+from pwm_gym.workers import Workers, work_through
 
 __all__ = ["CollectConfig", "collect", "record_episode"]
 
@@ -95,10 +95,15 @@ class _Job:
     config: CollectConfig
 
 
-def collect(config: CollectConfig, progress: bool = True) -> Path:
+def collect(config: CollectConfig, progress: bool = True, workers: int | Workers | None = None) -> Path:
     """Collect a data set into ``config.folder`` and return that.
 
     Shards that exist and are whole are kept, so a killed run resumes; truncated ones are collected again.
+
+    Args:
+        config: what to collect.
+        progress: whether to show a bar.
+        workers: who collects; None takes ``config.workers`` processes of this machine.
 
     Raises:
         DatasetError: the folder holds a data set of another task or configuration, or lost files meanwhile.
@@ -110,7 +115,7 @@ def collect(config: CollectConfig, progress: bool = True) -> Path:
     jobs = [job for job in every if not _is_whole(job, task)]
     total = sum(len(job.seeds) for job in jobs)
     with tqdm(total=total, unit="episode", disable=not progress, desc=f"collect {task.name}") as bar:
-        for count in work_through(_collect_shard, jobs, config.workers, _one_thread):
+        for count in work_through(_collect_shard, jobs, workers or config.workers, _one_thread):
             bar.update(count)
     _check_complete(config.folder, every)
     return config.folder

@@ -43,6 +43,8 @@ class Bench:
     """Their steps."""
     points: tuple[int, ...] = (300, 600, 1200)
     """Points of the scenes that plans are made for."""
+    adapter: int = 256
+    """Environments with which stable-baselines3's adapter is compared with the native batch; 0 leaves it out."""
     planners: int = 0
     """Scenes on which our MPPI is compared with those of pytorch_mppi and TorchRL (the extra "planners")."""
     completer: str | None = None
@@ -86,10 +88,16 @@ class Bench:
     def _environments(self, task: Task) -> dict[str, Any]:
         from pwm_gym.evaluation import benchmarks
 
-        return {
+        found: dict[str, Any] = {
             "simulator_steps_per_second": benchmarks.simulator_rate(task, self.seconds),
             "model_steps_per_second": benchmarks.model_rates(task, self.num_envs, self.seconds),
         }
+        if self.adapter:
+            from pwm_gym.wrappers import SB3VecEnv
+
+            found["adapter"] = {"num_envs": self.adapter}
+            found["adapter"] |= benchmarks.adapter_overhead(task, SB3VecEnv, self.adapter)
+        return found
 
     def _sizes(self, model: WorldModel, task: Task, scene: Scene) -> dict[str, Any]:
         """Times of rollouts and plans by their sizes, and the floor of one rollout."""
@@ -132,6 +140,9 @@ def _print(results: dict[str, Any]) -> None:
     print(f"raw simulator env.step: {base:.0f} steps/s")
     for count, rate in results["model_steps_per_second"].items():
         print(f"make_vec(num_envs={count}): {rate:.0f} steps/s, {rate / base:.1f} times the simulator's")
+    if adapter := results.get("adapter"):
+        seconds = f"{1e3 * adapter['adapter_seconds']:.1f} ms a step against {1e3 * adapter['native_seconds']:.1f} ms"
+        print(f"adapter of {adapter['num_envs']} environments: {seconds}, {adapter['overhead']:+.1%}")
     for kind in ("rollout", "plan"):
         for size, seconds in results[f"{kind}_seconds"].items():
             print(f"{kind} of {size}: {seconds:.3f} s")

@@ -8,6 +8,7 @@ from typing import Annotated
 import tyro
 
 from pwm_gym.collection import CollectConfig
+from pwm_gym.commands.crew import crew
 
 __all__ = ["Collect"]
 
@@ -16,10 +17,12 @@ __all__ = ["Collect"]
 class Collect:
     """Collect episodes in the simulator. A run that was killed goes on where it was."""
 
+    ray: str | None = None
+    """Ray cluster whose machines collect instead: "auto", "local" or HOST:PORT (the extra "ray")."""
     config: Annotated[CollectConfig, tyro.conf.arg(name="")] = field(default_factory=CollectConfig)
 
     def run(self) -> None:
         """Collect, with a progress bar."""
         from pwm_gym.collection import collect
 
-        print(f"data set: {collect(self.config)}")
+        print(f"data set: {collect(self.config, workers=crew(self.config.workers, self.ray))}")

@@ -9,6 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from pwm_gym.commands.crew import crew
 from pwm_gym.commands.failures import draw_failures
 from pwm_gym.commands.folders import data_folder
 from pwm_gym.commands.numbers import check_least
@@ -85,6 +86,8 @@ class Evaluate:
     """Folder of a table's trainings and results."""
     workers: int = 1
     """Trainings of a table at once, each on one thread."""
+    ray: str | None = None
+    """Ray cluster whose machines make a table instead: "auto", "local" or HOST:PORT (the extra "ray")."""
     json: Path | None = None
     """Where to write the results."""
     threads: int = 2
@@ -259,7 +262,7 @@ class Evaluate:
             data_folder(self.task, self.data),
             self.out,
             self.task,
-            self.workers,
+            crew(self.workers, self.ray),
             self.objects,
             rows=self.members,
             scale=self.scale,
@@ -295,7 +298,8 @@ class Evaluate:
 
         tasks = tuple(get_task(name).name for name in self.tasks or (self.task,))
         data = {task: data_folder(task, self.data if len(tasks) == 1 else None) for task in tasks}
-        table = run_shared_table(self.checkpoints, tasks, data, self.out, self.episodes, self.workers, self.objects)
+        who = crew(self.workers, self.ray)
+        table = run_shared_table(self.checkpoints, tasks, data, self.out, self.episodes, who, self.objects)
         from pwm_gym.evaluation.text import shared_text
 
         print(shared_text(table))

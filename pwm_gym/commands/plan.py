@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, replace
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from pwm_gym.commands.crew import crew
 from pwm_gym.commands.failures import draw_failures
 from pwm_gym.commands.numbers import check_least
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    import gymnasium as gym
     from torch import Tensor
 
-    from pwm_gym.planning import SamplingConfig
+    from pwm_gym.planning import Agent, Run, SamplingConfig
     from pwm_gym.tasks import Task
 
 __all__ = ["Plan", "print_success"]
@@ -76,54 +79,44 @@ class Plan:
     """Folder for a picture of the failed episodes, by the stage that they ended in."""
     json: Path | None = None
     """Where to write the results."""
+    workers: int = 1
+    """Episodes at once, each in a process of its own."""
+    ray: str | None = None
+    """Ray cluster whose machines run the episodes instead: "auto", "local" or HOST:PORT (the extra "ray")."""
     threads: int = 2
-    """PyTorch threads."""
+    """PyTorch threads a process."""
 
     def run(self) -> None:
         """Run the episodes and print the success table."""
-        import gymnasium as gym
-
-        import pwm_gym  # noqa: F401  (registers)
-        from pwm_gym.commands.check_cost import find_cost
-        from pwm_gym.dynamics import load_checkpoint, resolve
-        from pwm_gym.envs import CameraConfig
+        from pwm_gym.dynamics import resolve
         from pwm_gym.errors import unknown_name
-        from pwm_gym.evaluation import planning_table, run_episodes, write_results
+        from pwm_gym.evaluation import planning_table, run_seeds, write_results
         from pwm_gym.learning import digest
-        from pwm_gym.planning import Agent
-        from pwm_gym.process import prepare_process
         from pwm_gym.seeds import RANGES, seed_range
         from pwm_gym.tasks import get_task
 
-        check_least(self, episodes=1, offset=0, chunk=0, threads=1)
+        check_least(self, episodes=1, offset=0, chunk=0, workers=1, threads=1)
         if self.max_steps is not None:
             check_least(self, max_steps=1)
         if self.seeds not in RANGES:
             raise unknown_name("range of seeds", self.seeds, RANGES)
         task = get_task(self.task)
         planner = task.planner if self.planner is None else self.planner
-        config = self._config(planner)
-        prepare_process(self.threads)
-        path = resolve(self.checkpoint, self.task)
-        checkpoint = load_checkpoint(path)
-        checkpoint.check_joints(task.layout)
+        config, path = self._config(planner), resolve(self.checkpoint, self.task)
         seeds = seed_range(self.seeds, self.episodes, self.offset)
-        cost = None if self.cost is None else find_cost(self.cost)
-        penalties = self._penalties(task)
-        guide = None if self.guide is None else self._policy(self.guide, task)
+        _agent(self)  # what does not fit ends all before anything is run
+        most = self._most(task)
         limits = {name: getattr(self, name) for name in ("caution", "workspace", "clear_of")}
-        agent = Agent(checkpoint.model, self.task, config, cost, penalties=penalties, caution=self.caution, guide=guide)
-        camera = CameraConfig(sensor=self.sensor, completer=self.completer)
-        twin = f"pwm/{self.task}Sim-v0"
-        settings: dict[str, Any] = {"observation": self.observation, "camera": camera, "objects": self.objects or None}
-        most = task.max_episode_steps if self.max_steps is None else self.max_steps
         names = ("chunk", "seeds", "objects", "observation", "completer", "sensor", "cost")
         facts = {"planner": planner, "settings": asdict(config), **{name: getattr(self, name) for name in names}}
         recipe = {"task": self.task, "checkpoint": digest(path), "max_steps": most, **limits, **facts}
         if self.guide is not None:
             recipe["guide"] = facts["guide"] = digest(self.guide)
-        with gym.make(twin, max_episode_steps=most, **settings) as env:
-            runs = run_episodes(env, agent, seeds, most, self.chunk, folder=self.save, recipe=recipe)
+        try:
+            run_one, who = partial(_run_one, self), crew(self.workers, self.ray)
+            runs = run_seeds(run_one, seeds, folder=self.save, recipe=recipe, workers=who)
+        finally:
+            _release(self)
         table = planning_table(runs)
         mode = {0: "open loop", 1: "closed loop"}.get(self.chunk, f"chunks of {self.chunk}")
         print_success(f"{self.task}, {mode} in the simulator", table)
@@ -133,6 +126,10 @@ class Plan:
             print(f"  pictures         {self.pictures / table['picture']}")
         if self.json is not None:
             write_results(self.json, {**facts, **table})
+
+    def _most(self, task: Task) -> int:
+        """Actions of an episode at most."""
+        return task.max_episode_steps if self.max_steps is None else self.max_steps
 
     def _config(self, planner: str) -> SamplingConfig:
         """The planner's settings with what the options change."""
@@ -168,6 +165,59 @@ class Plan:
         if self.clear_of:
             penalties["clear"] = (10.0, keep_clear(self.clear_of, effector))
         return penalties
+
+
+@lru_cache(maxsize=1)
+def _agent(command: Plan) -> Agent:
+    """The command's planner, made once a process."""
+    from pwm_gym.commands.check_cost import find_cost
+    from pwm_gym.dynamics import load_checkpoint, resolve
+    from pwm_gym.planning import Agent
+    from pwm_gym.process import prepare_process
+    from pwm_gym.tasks import get_task
+
+    prepare_process(command.threads)
+    task = get_task(command.task)
+    checkpoint = load_checkpoint(resolve(command.checkpoint, task.name))
+    checkpoint.check_joints(task.layout)
+    config = command._config(task.planner if command.planner is None else command.planner)
+    cost = None if command.cost is None else find_cost(command.cost)
+    penalties = command._penalties(task)
+    guide = None if command.guide is None else command._policy(command.guide, task)
+    settings: dict[str, Any] = {"penalties": penalties, "caution": command.caution, "guide": guide}
+    return Agent(checkpoint.model, task.name, config, cost, **settings)
+
+
+@lru_cache(maxsize=1)
+def _twin(command: Plan) -> gym.Env[Any, Any]:
+    """The command's simulator, made once a process."""
+    import gymnasium as gym
+
+    import pwm_gym  # noqa: F401  (registers)
+    from pwm_gym.envs import CameraConfig
+    from pwm_gym.tasks import get_task
+
+    most = command._most(get_task(command.task))
+    camera = CameraConfig(sensor=command.sensor, completer=command.completer)
+    settings: dict[str, Any] = {"observation": command.observation, "objects": command.objects or None}
+    return gym.make(f"pwm/{command.task}Sim-v0", max_episode_steps=most, camera=camera, **settings)
+
+
+def _run_one(command: Plan, seed: int) -> Run:
+    """One of the command's episodes."""
+    from pwm_gym.planning import execute
+    from pwm_gym.tasks import get_task
+
+    most = command._most(get_task(command.task))
+    return execute(_twin(command), _agent(command), seed, most, command.chunk)
+
+
+def _release(command: Plan) -> None:
+    """Close what this process ran episodes with."""
+    if _twin.cache_info().currsize:
+        _twin(command).close()
+    _agent.cache_clear()
+    _twin.cache_clear()
 
 
 def print_success(title: str, table: dict[str, Any]) -> None:

@@ -8,6 +8,7 @@ from typing import Any
 
 import tyro
 
+from pwm_gym.commands.crew import crew
 from pwm_gym.commands.numbers import check_least
 
 __all__ = ["Rank"]
@@ -37,6 +38,8 @@ class Rank:
     """Folder of what is finished."""
     workers: int = 1
     """Policies at once."""
+    ray: str | None = None
+    """Ray cluster whose machines run them instead: "auto", "local" or HOST:PORT (the extra "ray")."""
     json: Path | None = None
     """Where to write the results."""
     picture: Path | None = None
@@ -52,7 +55,7 @@ class Rank:
 
         check_least(self, scenes=1, workers=1)
         task = get_task(self.task)
-        where = (self.checkpoint, self.max_steps, self.floor, self.workers)
+        where = (self.checkpoint, self.max_steps, self.floor, crew(self.workers, self.ray))
         table = rank_contestants(self.policies, task.name, self.out, self.scenes, *where)
         _print(table)
         if self.json is not None:

@@ -6,11 +6,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-import torch
-
 from pwm_gym.completion.network import CompletionConfig, CompletionNet
 from pwm_gym.errors import CheckpointError, unknown_name
-from pwm_gym.learning import load_weights, read_description, save_weights
+from pwm_gym.learning import load_weights, read_description, rebuild, save_weights
 from pwm_gym.schema import convert
 
 __all__ = ["SHIPPED", "load_completion", "save_completion"]
@@ -49,10 +47,6 @@ def load_completion(checkpoint: str | Path = "default") -> tuple[CompletionNet, 
         raise unknown_name("checkpoint of completion", str(checkpoint), ["default"])
     description = read_description(folder, _FORMAT, _SCHEMA, _Description)
     config = convert(description["config"], CompletionConfig, CheckpointError, f"{folder}: config")
-    with torch.random.fork_rng(devices=[]):  # fresh weights are drawn only to be replaced
-        try:
-            net = CompletionNet(config)
-        except (RuntimeError, ValueError, TypeError, ArithmeticError, LookupError) as error:
-            raise CheckpointError(f"{folder}: its config describes no network ({error})") from error
+    net = rebuild(folder, asdict(config), lambda: CompletionNet(config))
     load_weights(net, folder)
     return net, description

@@ -67,7 +67,7 @@ class CompletionConfig:
             raise PwmGymError(f"{len(self.points)} stages with {len(self.channels)} channels; expected one each")
         if list(self.points) != sorted(self.points, reverse=True) or self.points[-1] < self.sources:
             raise PwmGymError(f"points={self.points}; expected fewer in each stage, at least {self.sources}")
-        if self.width % self.heads:
+        if self.heads < 1 or self.width % self.heads:
             raise PwmGymError(f"width={self.width}; expected a multiple of heads={self.heads}")
 
     @property

@@ -17,7 +17,7 @@ from pwm_gym.dynamics.bank import SceneBank
 from pwm_gym.dynamics.model import WorldModel
 from pwm_gym.dynamics.registry import build_model, config_of
 from pwm_gym.errors import CheckpointError, UnknownNameError, unknown_name
-from pwm_gym.learning import load_weights, read_description, save_weights
+from pwm_gym.learning import load_weights, read_description, rebuild, save_weights
 from pwm_gym.robots import Control
 from pwm_gym.scene import SCHEMA, Layout
 from pwm_gym.scene.joint import JOINT_KINDS
@@ -35,7 +35,6 @@ __all__ = [
 ]
 
 _FORMAT = "pwm_gym.checkpoint"
-_NO_MODEL = (RuntimeError, ValueError, TypeError, ArithmeticError, LookupError, MemoryError, AttributeError)
 _SCENES = "scenes-"
 _BANKS = f"{_SCENES}*.npz"
 _OLD = (
@@ -198,11 +197,8 @@ def load_checkpoint(folder: str | Path, device: str = "cpu") -> Checkpoint:
     except ValueError as error:
         raise CheckpointError(f"{folder}: {error}") from error
     control = Control.from_json(description["control"])
-    with torch.random.fork_rng(devices=[]):  # fresh weights are drawn only to be replaced
-        try:
-            model = build_model(description["model"], links, control, description["config"])
-        except _NO_MODEL as error:
-            raise CheckpointError(f"{folder}: its config.json describes no model ({error})") from error
+    config = description["config"]
+    model = rebuild(folder, config, lambda: build_model(description["model"], links, control, config))
     load_weights(model, folder)
     paths = sorted(folder.glob(_BANKS))
     banks = {bank.task: bank for bank in map(SceneBank.load, paths)}

@@ -27,6 +27,7 @@ from pwm_gym.seeds import seed_range
 from pwm_gym.tasks import Task
 
 __all__ = [
+    "adapter_overhead",
     "compare_planners",
     "model_rates",
     "perception_times",
@@ -36,6 +37,7 @@ __all__ = [
     "simulator_rate",
 ]
 
+_EPISODE = 50  # steps
 _LEAST_NOISE = 1e-3  # pytorch_mppi's may not be 0
 
 
@@ -55,6 +57,53 @@ def model_rates(task: Task, counts: Sequence[int], seconds: float) -> dict[int, 
         rates[count] = benchmark_vector_step(envs, target_duration=seconds, seed=0)  # type: ignore[arg-type]
         envs.close()
     return rates
+
+
+def adapter_overhead(
+    task: Task, adapt: Callable[[gym.vector.VectorEnv[Any, Any, Any]], Any], count: int, steps: int = 100
+) -> dict[str, float]:
+    """What an adapter of the native batch costs: steps of one without it and of one within it, in turn.
+
+    Both show poses, are given the same actions, and start episodes anew at the same steps.
+
+    Args:
+        task: the task.
+        adapt: puts a batch into the adapter, whose ``step`` takes actions (count, A).
+        count: environments of each batch.
+        steps: of each.
+
+    Returns:
+        Median seconds of a step, "native_seconds" and "adapter_seconds", and "overhead", the median share by which the
+        second is longer.
+    """
+    made = [
+        gym.make_vec(
+            f"pwm/{task.name}-v0",
+            num_envs=count,
+            autoreset_mode="SameStep",
+            max_episode_steps=_EPISODE,
+            observation="poses",
+        )
+        for _ in range(2)
+    ]
+    native, adapted = made[0], adapt(made[1])
+    native.reset(seed=0)
+    adapted.seed(0)
+    adapted.reset()
+    rng, times = np.random.default_rng(0), np.empty((steps + _EPISODE // 5, 2))
+    for row in times:
+        actions = rng.uniform(-1.0, 1.0, (count, task.action_size)).astype(np.float32)
+        for place, step in enumerate((native.step, adapted.step)):
+            begun = time.perf_counter()
+            step(actions)
+            row[place] = time.perf_counter() - begun
+    counted = times[-steps:]
+    middle = np.median(counted, 0)
+    return {
+        "native_seconds": float(middle[0]),
+        "adapter_seconds": float(middle[1]),
+        "overhead": float(np.median(counted[:, 1] / counted[:, 0])) - 1.0,
+    }
 
 
 def rollout_times(

@@ -19,8 +19,19 @@ from pwm_gym.planning import Agent, Run, execute
 from pwm_gym.scene import Scene
 from pwm_gym.schema import read_json
 from pwm_gym.seeds import seed_range
+from pwm_gym.workers import Workers, work_through
 
-__all__ = ["episodes_in", "load_runs", "plan_episodes", "planning_table", "run_episodes", "save_runs", "wilson"]
+__all__ = [
+    "claim_folder",
+    "episodes_in",
+    "load_runs",
+    "plan_episodes",
+    "planning_table",
+    "run_episodes",
+    "run_seeds",
+    "save_runs",
+    "wilson",
+]
 
 _RECIPE = "planned-by.json"
 
@@ -46,26 +57,54 @@ def run_episodes(
         chunk: actions between two looks.
         observe: what the agent sees of a scene.
         progress: whether to show a progress bar.
-        folder: where each run's record is written as soon as it is over; records that are there are not planned again.
-        recipe: all that decides a run, of JSON's types; a folder belongs to one.
+        folder: as of :func:`run_seeds`.
+        recipe: as of :func:`run_seeds`.
 
     Raises:
-        PwmGymError: the folder's runs were planned by another recipe, or do not tell by which.
+        PwmGymError: as of :func:`run_seeds`.
     """
-    runs = []
+
+    def run_one(seed: int) -> Run:
+        return execute(env, agent, seed, max_steps, chunk, observe)
+
+    return run_seeds(run_one, seeds, progress, folder, recipe)
+
+
+def run_seeds(
+    run_one: Callable[[int], Run],
+    seeds: Sequence[int],
+    progress: bool = True,
+    folder: Path | None = None,
+    recipe: Mapping[str, Any] | None = None,
+    workers: int | Workers = 1,
+) -> list[Run]:
+    """Runs of seeds in their order; those that succeed at reset are left out.
+
+    Args:
+        run_one: the run of a seed; picklable where there are several workers.
+        seeds: of the episodes.
+        progress: whether to show a progress bar.
+        folder: where each run's record is written as soon as it is over; records that are there are not planned again.
+        recipe: all that decides a run, of JSON's types; a folder belongs to one.
+        workers: runs at once, each in a process of its own where there are several, or who makes them.
+
+    Raises:
+        PwmGymError: the folder's runs were planned by another recipe, or do not tell by which; a process died.
+    """
+    found: dict[int, Run] = {}
     if folder is not None:
-        _claim(folder, dict(recipe or {}))
-    with tqdm(seeds, unit="episode", disable=not progress, desc="plan") as bar:
-        for seed in bar:
-            run = None if folder is None else _recorded(folder, seed)
-            if run is None:
-                run = execute(env, agent, seed, max_steps, chunk, observe)
-                if folder is not None:
-                    save_runs([run], folder)
-            if not run.at_reset:
-                runs.append(run)
-            bar.set_postfix(success=f"{sum(r.success for r in runs)}/{len(runs)}")
-    return runs
+        claim_folder(folder, dict(recipe or {}))
+        found = {seed: run for seed in seeds if (run := _recorded(folder, seed)) is not None}
+    missing = [seed for seed in seeds if seed not in found]
+    with tqdm(total=len(seeds), initial=len(found), unit="episode", disable=not progress, desc="plan") as bar:
+        for run in work_through(run_one, missing, workers):
+            if folder is not None:
+                save_runs([run], folder)
+            found[run.seed] = run
+            counted = [r for r in found.values() if not r.at_reset]
+            bar.update()
+            bar.set_postfix(success=f"{sum(r.success for r in counted)}/{len(counted)}")
+    return [found[seed] for seed in seeds if not found[seed].at_reset]
 
 
 def plan_episodes(agent: Agent, episodes: int, objects: str = "", progress: bool = False) -> dict[str, Any]:
@@ -90,8 +129,12 @@ def episodes_in(world: str, agent: Agent, episodes: int, objects: str = "", prog
         return run_episodes(env, agent, seed_range("plan_test", episodes), task.max_episode_steps, progress=progress)
 
 
-def _claim(folder: Path, recipe: dict[str, Any]) -> None:
-    """Note by what a folder's runs are planned, or compare with what is noted there."""
+def claim_folder(folder: Path, recipe: dict[str, Any]) -> None:
+    """Note by what a folder's runs are planned, or compare with what is noted there.
+
+    Raises:
+        PwmGymError: it is another recipe, or the folder holds runs of none.
+    """
     path, told = folder / _RECIPE, json.loads(json.dumps(recipe))
     if not path.exists():
         if any(folder.glob(_record("*"))):

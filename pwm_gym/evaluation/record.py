@@ -59,7 +59,7 @@ def describe_commit() -> str | None:
 def write_results(path: Path, results: dict[str, Any]) -> None:
     """Write ``results`` to ``path`` beside the command, machine, commit and date."""
     record = {
-        "command": shlex.join([_program(), *sys.argv[1:]]),
+        "command": " ".join([_program(), shlex.join(sys.argv[1:])]).strip(),
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
         "commit": describe_commit(),
         "machine": describe_machine(),
@@ -70,5 +70,7 @@ def write_results(path: Path, results: dict[str, Any]) -> None:
 
 def _program() -> str:
     """What was started; ``python -m pwm_gym`` is told by the name that it is installed under."""
-    name = Path(sys.argv[0]).name
-    return "pwm-gym" if name == "__main__.py" else name
+    path = Path(sys.argv[0])
+    if path.name == "__main__.py":
+        return "pwm-gym"
+    return f"python {path.parent.name}/{path.name}" if path.suffix == ".py" else path.name

@@ -10,10 +10,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pwm_gym.errors import PwmGymError
+from pwm_gym.errors import PwmGymError, writing
 from pwm_gym.evaluation.record import describe_commit
 from pwm_gym.files import write_atomically
-from pwm_gym.workers import work_through
+from pwm_gym.workers import Workers, work_through
 
 __all__ = ["Piece", "run_pieces"]
 
@@ -56,12 +56,14 @@ class Piece:
         return dict(found)
 
 
-def run_pieces(pieces: Sequence[Piece], workers: int = 1, tell: Callable[[str], None] = print) -> list[dict[str, Any]]:
+def run_pieces(
+    pieces: Sequence[Piece], workers: int | Workers = 1, tell: Callable[[str], None] = print
+) -> list[dict[str, Any]]:
     """Make what is missing, and return every piece's result.
 
     Args:
         pieces: of the table; those that share a recipe are made once.
-        workers: pieces at once, each in a process of its own where there are several.
+        workers: pieces at once, each in a process of its own where there are several, or who makes them.
         tell: is given one line a finished piece, with the time that it took.
 
     Raises:
@@ -70,6 +72,8 @@ def run_pieces(pieces: Sequence[Piece], workers: int = 1, tell: Callable[[str], 
     commit = describe_commit()  # of the code that is loaded, which may change on disk meanwhile
     missing = list({p.folder: (p, commit) for p in pieces if not p.result.exists()}.values())
     if missing:
+        with writing(missing[0][0].out):  # before anything is made that could not be kept
+            missing[0][0].out.mkdir(parents=True, exist_ok=True)
         kept = len({p.folder for p in pieces}) - len(missing)
         tell(f"{len(missing)} pieces to make, {kept} there already, in {missing[0][0].out}")
     for count, (label, seconds) in enumerate(work_through(_make, missing, workers), 1):

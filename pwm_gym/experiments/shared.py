@@ -18,6 +18,7 @@ from pwm_gym.learning import digest
 from pwm_gym.planning import Agent
 from pwm_gym.process import prepare_process
 from pwm_gym.tasks import get_task
+from pwm_gym.workers import Workers
 
 __all__ = ["run_shared_table"]
 
@@ -30,7 +31,7 @@ def run_shared_table(
     data: Mapping[str, Path],
     out: Path,
     episodes: int = 20,
-    workers: int = 1,
+    workers: int | Workers = 1,
     objects: str = "",
 ) -> dict[str, Any]:
     """Evaluate every checkpoint on every task that it was trained on; what is there already is kept.
@@ -41,7 +42,7 @@ def run_shared_table(
         data: task -> data set, whose test split is rolled out.
         out: folder of the pieces.
         episodes: test seeds of planning that are planned in closed loop; 0 plans none.
-        workers: pieces at once, each on one thread.
+        workers: pieces at once, each on one thread, or who makes them.
         objects: what planned episodes draw their objects from, of tasks whose objects differ between episodes; "" for
             each task's default.
 

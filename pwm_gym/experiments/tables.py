@@ -29,6 +29,7 @@ from pwm_gym.process import prepare_process
 from pwm_gym.tasks import get_task
 from pwm_gym.training import FitConfig, fit
 from pwm_gym.training.losses import TrainConfig
+from pwm_gym.workers import Workers
 
 __all__ = ["TABLES", "Row", "Table", "row_folder", "run_table", "trained"]
 
@@ -229,7 +230,7 @@ def run_table(
     data: Path,
     out: Path,
     task: str = "PickCube",
-    workers: int = 1,
+    workers: int | Workers = 1,
     objects: str = "",
     rows: Sequence[str] = (),
     scale: float = 1.0,
@@ -242,7 +243,7 @@ def run_table(
         data: a data set; its test split is read once a piece.
         out: folder of the pieces.
         task: registered task.
-        workers: pieces at once, each on one thread.
+        workers: pieces at once, each on one thread, or who makes them.
         objects: what planned episodes draw their objects from, as of :meth:`pwm_gym.tasks.Task.make_simulator`; "" for
             the task's default.
         rows: names of the table's rows; none given takes all.

@@ -3,7 +3,7 @@
 from pwm_gym.learning.clock import Clock
 from pwm_gym.learning.loop import LoopConfig, has_state, is_main_process, run_training
 from pwm_gym.learning.optimizers import Optimizer, build_optimizer
-from pwm_gym.learning.weights import digest, load_weights, read_description, save_weights
+from pwm_gym.learning.weights import digest, load_weights, read_description, rebuild, save_weights
 
 __all__ = [
     "Clock",
@@ -15,6 +15,7 @@ __all__ = [
     "is_main_process",
     "load_weights",
     "read_description",
+    "rebuild",
     "run_training",
     "save_weights",
 ]

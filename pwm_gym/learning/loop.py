@@ -19,6 +19,7 @@ from torch import nn
 from tqdm import tqdm
 
 from pwm_gym.errors import CheckpointError, PwmGymError, unknown_name, writing
+from pwm_gym.files import replacing
 from pwm_gym.learning.clock import Clock
 from pwm_gym.learning.optimizers import build_optimizer
 
@@ -309,10 +310,8 @@ class _Run:
             "step": self.step,
             "spent": self.clock.spent(),
         }
-        path, temporary = self.folder / _STATE, self.folder / f".{_STATE}"
-        with writing(path, RuntimeError):  # which PyTorch raises on a full disk
-            torch.save(state, temporary)
-            temporary.replace(path)
+        with replacing(self.folder / _STATE, RuntimeError) as file:  # which PyTorch raises on a full disk
+            torch.save(state, file)
 
     def finish(self) -> None:
         """Leave the averaged weights in the model and close what is open."""

@@ -5,10 +5,10 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import torch
 from safetensors import SafetensorError
@@ -16,13 +16,19 @@ from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
 
 from pwm_gym.errors import CheckpointError, writing
+from pwm_gym.files import replacing
 from pwm_gym.schema import convert, read_json
 
-__all__ = ["digest", "load_weights", "read_description", "save_weights"]
+__all__ = ["digest", "load_weights", "read_description", "rebuild", "save_weights"]
 
 _WEIGHTS, _DESCRIPTION = "model.safetensors", "config.json"
 _DAMAGE = (SafetensorError, OSError, ValueError, TypeError, LookupError, RuntimeError, MemoryError, OverflowError)
 """What safetensors and PyTorch raise on damaged files."""
+_NO_MODEL = (RuntimeError, ValueError, TypeError, ArithmeticError, LookupError, MemoryError, AttributeError)
+_LARGEST = 4096
+"""Layers, or channels of one: a larger number is damage, and would take the machine's memory."""
+
+_Model = TypeVar("_Model")
 
 
 @dataclass(frozen=True)
@@ -43,12 +49,13 @@ def save_weights(folder: Path, model: nn.Module, description: Mapping[str, Any])
     weights = {k: v.detach().cpu().contiguous() for k, v in model.state_dict().items()}
     _check_finite(weights, model, f"the weights for {folder}")
     text = json.dumps(_without_nan(description), indent=2, allow_nan=False)
-    with writing(folder, SafetensorError):
-        folder.mkdir(parents=True, exist_ok=True)
-        save_file(weights, folder / f".{_WEIGHTS}")
-        (folder / f".{_DESCRIPTION}").write_text(text)
-        for name in (_WEIGHTS, _DESCRIPTION):
-            (folder / f".{name}").replace(folder / name)
+    with (
+        writing(folder),
+        replacing(folder / _DESCRIPTION) as description_file,
+        replacing(folder / _WEIGHTS, SafetensorError) as weights_file,
+    ):
+        save_file(weights, weights_file)
+        description_file.write_text(text)
 
 
 def read_description(folder: Path, form: str, schema: int, fields: type, old: str = "") -> dict[str, Any]:
@@ -78,6 +85,28 @@ def read_description(folder: Path, form: str, schema: int, fields: type, old: st
         raise CheckpointError(f"{folder} {old}")
     convert(description, fields, CheckpointError, str(path))
     return description
+
+
+def rebuild(folder: Path, config: Mapping[str, Any], build: Callable[[], _Model]) -> _Model:
+    """The network that a description tells of, with weights that are there to be replaced.
+
+    Args:
+        folder: of the checkpoint.
+        config: the network's sizes.
+        build: builds it.
+
+    Raises:
+        CheckpointError: they describe no network, or one that is too large.
+    """
+    for name, value in config.items():
+        for size in value if isinstance(value, list | tuple) else (value,):
+            if isinstance(size, int) and size > _LARGEST:
+                raise CheckpointError(f"{folder}: its {_DESCRIPTION} has {name}={value}; expected at most {_LARGEST}")
+    with torch.random.fork_rng(devices=[]):
+        try:
+            return build()
+        except _NO_MODEL as error:
+            raise CheckpointError(f"{folder}: its {_DESCRIPTION} describes no model ({error})") from error
 
 
 def load_weights(model: nn.Module, folder: Path) -> None:

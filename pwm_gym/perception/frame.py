@@ -13,7 +13,7 @@ from PIL import Image
 
 from pwm_gym.cameras import DepthCamera
 from pwm_gym.errors import PwmGymError
-from pwm_gym.files import load_arrays, save_arrays
+from pwm_gym.files import load_array, load_arrays, save_arrays
 from pwm_gym.perception.cleaning import check_metres
 
 __all__ = ["Frame", "check_masks", "load_frames"]
@@ -218,7 +218,7 @@ def _camera(path: Path) -> DepthCamera:
 def _joints(path: Path, count: int) -> np.ndarray | None:
     if not path.exists():
         return None
-    joints = _read_array(path)
+    joints = load_array(path, PwmGymError)
     if joints.ndim != 2 or len(joints) != count:
         raise PwmGymError(f"{path} has shape {joints.shape}; expected ({count}, J), a row for each depth image")
     return joints
@@ -240,7 +240,7 @@ def _masks(folder: Path, keys: list[str]) -> dict[str, dict[str, np.ndarray]] | 
 def _read_depth(path: Path) -> np.ndarray:
     """Depth in metres; a 16-bit image holds millimetres."""
     if path.suffix == ".npy":
-        return _read_array(path)
+        return load_array(path, PwmGymError)
     depth = _read_image(path)
     if depth.dtype.itemsize < 2 or depth.ndim != 2:
         raise PwmGymError(f"{path} is an image of shape {depth.shape} and type {depth.dtype}; expected 16-bit grey")
@@ -251,12 +251,5 @@ def _read_image(path: Path, mode: str | None = None) -> np.ndarray:
     try:
         with Image.open(path) as image:
             return np.asarray(image.convert(mode) if mode else image)
-    except (OSError, SyntaxError, ValueError) as cause:  # Pillow: a broken PNG is a SyntaxError
+    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as cause:  # a broken PNG is a SyntaxError
         raise PwmGymError(f"{path} is not an image ({cause})") from cause
-
-
-def _read_array(path: Path) -> np.ndarray:
-    try:
-        return np.load(path, allow_pickle=False)
-    except (EOFError, OSError, ValueError) as cause:
-        raise PwmGymError(f"{path} is not an array ({cause})") from cause

@@ -11,12 +11,13 @@ import torch
 from torch import Tensor, nn
 
 from pwm_gym.data import Dataset, Episode, load_split
-from pwm_gym.errors import DatasetError, PwmGymError
+from pwm_gym.errors import CheckpointError, DatasetError, PwmGymError
 from pwm_gym.learning import LoopConfig, run_training
-from pwm_gym.learning.weights import load_weights, read_description, save_weights
+from pwm_gym.learning.weights import load_weights, read_description, rebuild, save_weights
 from pwm_gym.policies.network import Policy, PolicyConfig, boxes_of
 from pwm_gym.scene import SCHEMA
 from pwm_gym.scene.se3 import matrix_from_pose7
+from pwm_gym.schema import convert
 from pwm_gym.tasks import Task, get_task
 
 __all__ = ["CloningConfig", "clone", "load_policy"]
@@ -136,7 +137,8 @@ def load_policy(folder: str | Path) -> Policy:
     folder = Path(folder)
     found = read_description(folder, _FORMAT, SCHEMA, _Facts)
     task = get_task(found["task"])
-    policy = Policy(task.layout, task.action_size, task.goal_size, PolicyConfig(**found["config"]))
+    config = convert(found["config"], PolicyConfig, CheckpointError, f"{folder}: config")
+    policy = rebuild(folder, asdict(config), lambda: Policy(task.layout, task.action_size, task.goal_size, config))
     load_weights(policy, folder)
     return policy
 

@@ -63,7 +63,10 @@ class RobotCloud:
         self.layout, self.meshes, self.clouds = layout, dict(meshes), sample_clouds(meshes, layout, seed)
         self._links, self._skeleton = tuple(links.values()), urdf.skeleton()
         self._chains: dict[tuple[torch.dtype, torch.device], Any] = {}
-        order = self._chain(torch.float64, torch.device("cpu")).get_joint_parameter_names()
+        chain = self._chain(torch.float64, torch.device("cpu"))
+        if apart := [link for link in self._links if link not in chain.frame_to_idx]:
+            raise PwmGymError(f"link {apart[0]!r} does not hang on the robot's root")
+        order = chain.get_joint_parameter_names()
         own = tuple(j.name for j in urdf.joints.values() if j.movable)
         self.joints = own if joints is None else tuple(joints)
         vectors = [self.joints] if joints is not None else [own, tuple(n for n in own if urdf.joints[n].mimic is None)]
@@ -102,12 +105,17 @@ class RobotCloud:
         """
         if geometry not in _GEOMETRIES:
             raise unknown_name("geometry", geometry, _GEOMETRIES)
-        robot = _Urdf(Path(urdf))
         entities = _name_links(list(links), names or {})
-        meshes = {entity: robot.mesh(link, geometry, convex) for entity, link in entities.items()}
-        counts = [(name, points if isinstance(points, int) else look_up("entity", name, points)) for name in meshes]
+        counts = [(name, points if isinstance(points, int) else look_up("entity", name, points)) for name in entities]
         layout = Layout.build(counts, driven=tuple(entities))
-        return cls(robot, entities, joints, meshes, layout, seed)
+        try:
+            robot = _Urdf(Path(urdf))
+            meshes = {entity: robot.mesh(link, geometry, convex) for entity, link in entities.items()}
+            return cls(robot, entities, joints, meshes, layout, seed)
+        except (PwmGymError, FileNotFoundError):
+            raise
+        except Exception as error:  # the libraries' parsers have their own, down to AssertionError
+            raise PwmGymError(f"{urdf} describes no robot ({error})") from error
 
     def poses(self, joints: Tensor | np.ndarray) -> Tensor:
         """Links' poses (..., E, 4, 4) at joint positions (..., J), in their dtype and on their device.
@@ -225,6 +233,8 @@ class _Urdf:
         """The joints between the root and a link."""
         joints = []
         while (joint := self._movers.get(link)) is not None:
+            if joint in joints:
+                raise PwmGymError(f"link {link!r} hangs on itself, by the joint {joint.name!r}")
             joints.append(joint)
             link = joint.parent
         return joints

@@ -22,7 +22,7 @@ from pwm_gym.dynamics.checkpoint import Checkpoint, SceneBank, load_checkpoint, 
 from pwm_gym.dynamics.model import WorldModel
 from pwm_gym.dynamics.protocols import FitsResponse, LearnsError, Transitions
 from pwm_gym.dynamics.registry import build_model
-from pwm_gym.errors import DatasetError, PwmGymError, unknown_name
+from pwm_gym.errors import DatasetError, PwmGymError, unknown_name, writing
 from pwm_gym.learning import Clock, has_state, is_main_process
 from pwm_gym.scene import Layout
 from pwm_gym.tasks import Task, get_task
@@ -97,6 +97,8 @@ def fit(config: FitConfig, training: TrainConfig, validate: Validate, progress: 
     sources = load_sources(config.folders, "train")
     tasks = [get_task(dataset.task) for dataset in sources]
     out = config.out or Path("runs") / "+".join(task.name for task in tasks)
+    with writing(out):  # before anything is fitted that could not be kept
+        out.mkdir(parents=True, exist_ok=True)
     sources = [_chosen(dataset, config, len(sources)) for dataset in sources]
     held_out = load_sources(config.folders, "validation")
     windows, seen = _windows(config, sources, held_out)
