@@ -40,7 +40,7 @@ class Gripper:
     """From the mean of the hand's cloud to the tool centre, where the fingers do not move straight; :attr:`tool_ratio`
     then does not count."""
     pressed: float = -0.0005
-    """Sum of both pads' gaps to what is between them below which they press on it; what is soft to touch sinks deeper."""
+    """Sum of both pads' gaps to what is between them below which they press on it."""
 
 
 PANDA = Gripper(
