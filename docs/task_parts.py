@@ -51,6 +51,8 @@ def facts(task: Task) -> list[str]:
         lines.append(f"- checkpoint `{folder.name}`, trained on {', '.join(trained_on(task.name))}")
     if task.object_sets:
         lines.append(f"- sets of objects: {', '.join(f'`{name}`' for name in task.object_sets)}")
+    if task.starts:
+        lines.append(f"- starts: {', '.join(f'`{name}`' for name in task.starts)}")
     return lines
 
 

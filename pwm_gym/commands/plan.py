@@ -53,6 +53,8 @@ class Plan:
     objects: str = ""
     """What episodes draw their objects from, where they differ: one of the task's sets, such as "unseen", or an
     object's name; the task's default if not given."""
+    starts: str = ""
+    """Where episodes start, of tasks that have several distributions, such as OGBench's evaluation tasks ("tasks")."""
     observation: str = "complete"
     """What the agent sees: complete clouds, "partial" ones, or ones "completed" from a camera's depth."""
     completer: str = "default"
@@ -116,9 +118,13 @@ class Plan:
         camera = CameraConfig(sensor=self.sensor, completer=self.completer)
         twin = f"pwm/{self.task}Sim-v0"
         settings: dict[str, Any] = {"observation": self.observation, "camera": camera, "objects": self.objects or None}
+        if self.starts:
+            settings["starts"] = self.starts
         most = task.max_episode_steps if self.max_steps is None else self.max_steps
         names = ("chunk", "seeds", "objects", "observation", "completer", "sensor", "cost")
         facts = {"planner": planner, "settings": asdict(config), **{name: getattr(self, name) for name in names}}
+        if self.starts:
+            facts["starts"] = self.starts
         recipe = {"task": self.task, "checkpoint": digest(path), "max_steps": most, **limits, **facts}
         if self.guide is not None:
             recipe["guide"] = facts["guide"] = digest(self.guide)

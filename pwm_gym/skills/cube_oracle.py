@@ -22,6 +22,10 @@ _LOW, _BESIDE = (
     0.16,
     0.04,
 )  # metres: height over the table that the oracle rises to, and beside a cube when it is over it
+_TAKEN = 0.03  # metres from a goal within which another cube takes its place
+_SPOTS = np.array(
+    [[x, y, 0.02] for x in (0.32, 0.425, 0.53) for y in (-0.25, 0.0, 0.25)]
+)  # metres: places on the table
 _WAITS = (0.425, 0.0, 0.3)  # metres: where the tool goes when all is done
 
 
@@ -31,7 +35,7 @@ class CubeOracle:
 
     It asks for the force on a pad, which poses do not tell; pads as far apart as a cube that is between them count as
     pressing on it. Of several cubes it brings the one whose goal is lowest first, and rises from one that it has let go
-    before it turns to the next.
+    before it turns to the next; a cube whose goal is taken by another one is put aside.
     """
 
     cubes: tuple[int, ...]
@@ -49,29 +53,43 @@ class CubeOracle:
     def _told(self, poses: np.ndarray, goals: np.ndarray) -> dict[str, Any]:
         """What the oracle reads of OGBench's environment."""
         tool = tool_pose(poses)
-        which = self._which(poses, goals, tool[:3])
-        cube = poses[self.cubes[which]]
-        stopped = opening(poses) < _WIDTH + _TOUCH and np.linalg.norm(cube[:3] - tool[:3]) < _HELD
+        places = poses[list(self.cubes), :3]
+        stopped = opening(poses) < _WIDTH + _TOUCH
+        held = stopped & (np.linalg.norm(places - tool[:3], axis=1) < _HELD)
+        targets = self._targets(places, goals)
+        which = self._which(places, targets, goals, held, tool[:3])
         return {
             "proprio/effector_pos": tool[:3],
             "proprio/effector_yaw": np.array([_yaw(tool)]),
             "proprio/gripper_opening": np.zeros(1),
-            "proprio/gripper_contact": np.array([float(stopped)]),
+            "proprio/gripper_contact": np.array([float(held[which])]),
             "privileged/target_block": which,
-            f"privileged/block_{which}_pos": cube[:3],
-            f"privileged/block_{which}_yaw": np.array([_yaw(cube)]),
-            "privileged/target_block_pos": goals[which],
+            f"privileged/block_{which}_pos": places[which],
+            f"privileged/block_{which}_yaw": np.array([_yaw(poses[self.cubes[which]])]),
+            "privileged/target_block_pos": targets[which],
             "privileged/target_block_yaw": np.zeros(1),
         }
 
-    def _which(self, poses: np.ndarray, goals: np.ndarray, tool: np.ndarray) -> int:
-        """The cube that it is about: one that it is still over, or else the first that is not there."""
-        places = poses[list(self.cubes), :3]
-        there = np.linalg.norm(goals - places, axis=1) <= _THERE
+    @staticmethod
+    def _targets(places: np.ndarray, goals: np.ndarray) -> np.ndarray:
+        """Where the cubes go now (K, 3): their goals, or a free place meanwhile, where another cube is at the goal."""
+        targets = goals.copy()
+        for k, goal in enumerate(goals):
+            ways = np.linalg.norm(np.delete(places, k, 0) - goal, axis=1)
+            if ways.size and ways.min() < _TAKEN:
+                spots = np.linalg.norm(_SPOTS[:, None] - goals, axis=-1).min(1)
+                targets[k] = _SPOTS[spots.argmax()]
+        return targets
+
+    @staticmethod
+    def _which(places: np.ndarray, targets: np.ndarray, goals: np.ndarray, held: np.ndarray, tool: np.ndarray) -> int:
+        """The cube that it is about: one that it holds or is still over, or else the first that is not there."""
+        there = np.linalg.norm(targets - places, axis=1) <= _THERE
         over = (np.linalg.norm(places[:, :2] - tool[:2], axis=1) < _BESIDE) & (tool[2] <= _LOW)
-        if (left := np.flatnonzero(there & over)).size:
-            return int(left[0])
-        order = np.lexsort((goals[:, 2].round(3), there))  # those that are not there first, the lowest goal first
+        if (busy := np.flatnonzero(held | (there & over))).size:
+            return int(busy[0])
+        away = (targets != goals).any(1)
+        order = np.lexsort((goals[:, 2].round(3), away, there))  # not there, its goal free, its goal the lowest
         return int(order[0])
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -52,7 +54,7 @@ class CubeWorld:
         self._env = _make(_VARIANTS[cubes])
         self.reset(0)
         self.model, self.data = self._env.model, self._env.data
-        self.action_size = int(np.prod(self._env.action_space.shape))
+        self.action_size = len(self._env.action_low)
         self.period = float(self._env.control_timestep())
         self._home = self.data.qpos.copy()
         self._targets = [int(self.model.body(f"object_target_{k}").mocapid[0]) for k in range(cubes)]
@@ -65,7 +67,8 @@ class CubeWorld:
             options = {"task_id": 1 + int(seed) % 5}
         else:
             options = {"task_id": int(self._starts.removeprefix("task"))}
-        self._env.reset(seed=int(seed), options=options)
+        with _quietly():
+            self._env.reset(seed=int(seed), options=options)
 
     def clear(self) -> None:
         """Go to a state that is always the same."""
@@ -87,19 +90,35 @@ class CubeWorld:
         self.data.mocap_pos[self._targets] = np.reshape(goal, (-1, 3))
 
     def close(self) -> None:
-        """Free the environment's renderer; calling it twice is harmless."""
+        """Give the environment back; calling it twice is harmless."""
         if self._env is not None:
             self._env.close()
+            _FREE.setdefault(_VARIANTS[self._cubes], []).append(self._env)
             self._env = None
+
+
+_FREE: dict[str, list[Any]] = {}
+"""Closed environments of each variant: compiling the model of one takes seconds."""
 
 
 def _make(variant: str) -> Any:
     """OGBench's environment in its evaluation mode, whose episodes do not end by themselves."""
-    try:
-        from ogbench.manipspace.envs.cube_env import CubeEnv
-    except ImportError as error:
-        raise PwmGymError(f"{error}; OGBench's tasks need it: pip install 'pwm-gym[ogbench]'") from error
-    return CubeEnv(variant, mode="task", terminate_at_goal=False, visualize_info=False)
+    if _FREE.get(variant):
+        return _FREE[variant].pop()
+    with _quietly():
+        try:
+            from ogbench.manipspace.envs.cube_env import CubeEnv
+        except ImportError as error:
+            raise PwmGymError(f"{error}; OGBench's tasks need it: pip install 'pwm-gym[ogbench]'") from error
+        return CubeEnv(variant, mode="task", terminate_at_goal=False, visualize_info=False)
+
+
+@contextmanager
+def _quietly() -> Iterator[None]:
+    """Without warnings of a missing display and of spaces' precision."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        yield
 
 
 def _draw(cubes: int, rng: np.random.Generator) -> dict[str, Any]:
