@@ -40,6 +40,8 @@ class SerialArm:
     upper: tuple[float, ...]
     rest: tuple[float, ...]
     """Usual joint angles: where inverse kinematics begins when a scene does not tell them."""
+    bounds: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
+    """Lowest and highest corner of the box in which the controller keeps the tool centre's targets, metres."""
 
     def __post_init__(self) -> None:
         """Check that each joint has limits and a rest."""
@@ -58,9 +60,9 @@ class Channel:
     """Components ``start:stop`` of an action that mean one thing."""
 
     kind: ChannelKind
-    """"translation" and "rotation" change the tool's pose (three components, in the base's frame); "yaw" turns it about
-    the vertical alone (one component); a "gripper" opens (1) and shuts (-1); "finger" and "joint" components are
-    targets of single joints."""
+    """"translation" and "rotation" change the tool's pose (three components, in the base's frame); "yaw" turns a tool
+    that the controller keeps pointing down (one component); a "gripper" opens (1) and shuts (-1); "finger" and "joint"
+    components are targets of single joints."""
     start: int
     stop: int
     unit: float = 1.0

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pwm_gym.robots.control import Arm, Channel, Control
+from pwm_gym.robots.control import Arm, Channel, Control, SerialArm
 from pwm_gym.robots.robot import Robot
 from pwm_gym.scene import Layout, Support
 from pwm_gym.scene.joint import Joint, Pose7
@@ -39,6 +39,25 @@ _JOINTS = {
 }
 _TOOL: Pose7 = (0.0, 0.0, 0.145, 1.0, 0.0, 0.0, 0.0)  # the site `pinch`
 _PAD = (0.0, -0.0075, 0.0258)  # metres: middle of a pad's inner face in a finger's frame
+_HALF = 0.5**0.5
+_TURN = 2.0 * np.pi
+_CHAIN = SerialArm(
+    origins=(
+        (0.0, 0.0, 0.163, _HALF, 0.0, 0.0, _HALF),
+        (0.0, 0.138, 0.0, 0.5, -0.5, 0.5, 0.5),
+        (0.0, -0.425, -0.131, 1.0, 0.0, 0.0, 0.0),
+        (0.0, -0.392, 0.0, _HALF, 0.0, 0.0, _HALF),
+        (0.0, 0.0, 0.127, _HALF, _HALF, 0.0, 0.0),
+        (0.0, 0.0, 0.1, _HALF, -_HALF, 0.0, 0.0),
+    ),
+    mount=(0.0, 0.0, 0.1108, _HALF, 0.0, 0.0, -_HALF),
+    tool=_TOOL[:3],
+    lower=(-_TURN, -_TURN, -3.1415, -_TURN, -_TURN, -_TURN),
+    upper=(_TURN, _TURN, 3.1415, _TURN, _TURN, _TURN),
+    rest=(-np.pi / 2, -np.pi / 2, np.pi / 2, -np.pi / 2, -np.pi / 2, 0.0),
+    bounds=((0.25, -0.35, 0.02), (0.6, 0.35, 0.35)),
+)
+"""ur5e.xml's joints, each about its z axis here, and the gripper on the flange."""
 _POSITION_UNIT, _YAW_UNIT = 0.05, 0.3  # metres, and radians, per unit of an action
 _CONTROL = Control(
     channels=(
@@ -46,11 +65,11 @@ _CONTROL = Control(
         Channel("yaw", 3, 4, _YAW_UNIT, arm="arm"),
         Channel("gripper", 4, 5, rest=1.0, arm="arm"),
     ),
-    arms=(Arm("arm", "hand"),),
+    arms=(Arm("arm", "hand", _CHAIN),),
     period=0.05,
 )
-"""The controller solves inverse kinematics for the present tool's pose changed by an action; drives and gravity let the
-arm make 40 % of the way. How the hand follows is fitted."""
+"""The controller solves inverse kinematics for the present tool's pose changed by an action; of the way the arm makes
+40 % in a step, and its drives let it sink by 1 mm a step where nothing is asked for."""
 
 
 def tool_pose(poses: np.ndarray) -> np.ndarray:

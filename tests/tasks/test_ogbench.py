@@ -12,6 +12,7 @@ from pwm_gym.costs.several import Several
 from pwm_gym.errors import PwmGymError, UnknownNameError
 from pwm_gym.robots.gripper import ROBOTIQ
 from pwm_gym.robots.joints import JointTree
+from pwm_gym.robots.kinematics import ArmKinematics
 from pwm_gym.robots.ur5e import UR5E, opening, tool_pose
 from pwm_gym.scene.se3 import matrix_from_pose7
 from pwm_gym.seeds import seed_range
@@ -167,6 +168,29 @@ def test_tool_and_clouds_are_where_the_environment_measures_the_tool(twin):
     points, _ = cost_info(twin.state, torch.zeros(1, 5), twin.goal, twin.rules.grasp)
     np.testing.assert_allclose(contacts.tool_centre(points, ROBOTIQ)[0], tool[:3], atol=2e-3)
     assert float(contacts.opening(points, ROBOTIQ)) == pytest.approx(ROBOTIQ.opening, abs=3e-3)
+
+
+def test_the_arms_chain_puts_the_hand_where_the_simulator_does(simulator):
+    kinematics = ArmKinematics(UR5E.control.arms[0].chain)
+    for seed in range(3):
+        simulator.reset(seed)
+        hand = kinematics(torch.as_tensor(simulator.joints()[0, :6])).numpy()
+        np.testing.assert_allclose(hand, matrix_from_pose7(torch.as_tensor(simulator.poses()[0])), atol=2e-6)
+
+
+def test_targets_are_where_the_environment_drives_the_tool(simulator):
+    """Near the table's edge and down to it, too."""
+    kinematics = ArmKinematics(UR5E.control.arms[0].chain)
+    rng = np.random.default_rng(0)
+    for seed in range(4):
+        simulator.reset(seed)
+        for action in rng.uniform(-1, 1, (3, 5)).astype(np.float32) - [0, 0, 0.5, 0, 0]:
+            hand = matrix_from_pose7(torch.as_tensor(simulator.poses()[0]))
+            simulator.step(np.clip(action, -1, 1))
+            action = torch.as_tensor(np.clip(action, -1, 1))
+            wanted = kinematics.target(hand, 0.05 * action[:3], yaw=0.3 * action[3:4]) @ kinematics.grip.double()
+            told = simulator.world._env._target_effector_pose.as_matrix()
+            np.testing.assert_allclose(wanted, told, atol=2e-6)
 
 
 def test_a_unit_of_yaw_turns_the_tool_about_the_vertical(simulator):
