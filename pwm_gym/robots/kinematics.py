@@ -142,7 +142,7 @@ class ArmKinematics(nn.Module):
 
 
 def _downward(rotation: Tensor, yaw: Tensor) -> Tensor:
-    """Rotations (..., 3, 3) whose z axis points down, turned by ``yaw`` (..., 1) from where the given ones' x axis is."""
+    """Rotations (..., 3, 3) whose z axis points down, turned by ``yaw`` (..., 1) from the given ones' x axis."""
     x, y = rotation[..., 0, 0], rotation[..., 1, 0]
     angle = torch.atan2(y, x) + yaw.squeeze(-1)
     cosine, sine, zero, one = angle.cos(), angle.sin(), torch.zeros_like(angle), torch.ones_like(angle)

@@ -174,7 +174,7 @@ def test_the_arms_chain_puts_the_hand_where_the_simulator_does(simulator):
     kinematics = ArmKinematics(UR5E.control.arms[0].chain)
     for seed in range(3):
         simulator.reset(seed)
-        hand = kinematics(torch.as_tensor(simulator.joints()[0, :6])).numpy()
+        hand = kinematics(torch.as_tensor(simulator.joints()[:1, :6]))[0].numpy()
         np.testing.assert_allclose(hand, matrix_from_pose7(torch.as_tensor(simulator.poses()[0])), atol=2e-6)
 
 
