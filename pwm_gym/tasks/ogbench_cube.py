@@ -23,7 +23,8 @@ from pwm_gym.tasks.registry import Expert, Task, register_task
 __all__ = ["OGBENCH_CUBE_DOUBLE", "OGBENCH_CUBE_SINGLE"]
 
 _SURE = 0.02  # metres from its goal within which planners turn to the next cube
-_PRICE = 12.0  # of a cube that is not there, in the planners' cost: more than all else can differ
+_MOST, _FARTHEST = 7.0, 0.7  # value of a held cube at its goal, and metres from there where holding it is worth least
+_PRICE = 24.0  # of a cube that is not there, in the planners' cost: more than all else can differ
 
 
 def _register_costs(name: str, cubes: tuple[str, ...]) -> None:
@@ -55,7 +56,7 @@ def _planned(cubes: Several) -> dict[str, tuple[float, terms.Term]]:
         "finger_blocking": (3.0, of_next(lambda cube: terms.finger_blocking(cube, ROBOTIQ))),
         "misalignment": (2.0, of_next(lambda cube: terms.misalignment(cube, WIDTH))),
         "ground_contact": (1.0, terms.ground_contact),
-        "carry": (-2.0, of_next(lambda cube: terms.carry(cube, cubes.target(cube), ROBOTIQ))),
+        "carry": (-2.0, of_next(lambda cube: terms.carry(cube, cubes.target(cube), ROBOTIQ, _MOST, _FARTHEST))),
     }
     for cube in cubes.names:
         suffix = "" if len(cubes.names) == 1 else f"_{cube}"
