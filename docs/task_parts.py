@@ -23,11 +23,12 @@ from pwm_gym.tasks import Task
 _CHANNELS = {
     "translation": "change of the tool's place along x, y, z",
     "rotation": "turn of the tool about x, y, z",
+    "yaw": "turn of the tool about the vertical",
     "gripper": "1 opens the gripper, -1 shuts it",
     "finger": "target of a finger",
     "joint": "target of a joint",
 }
-_UNITS = {"translation": "m", "rotation": "rad"}
+_UNITS = {"translation": "m", "rotation": "rad", "yaw": "rad"}
 _MEANINGS = {
     "points": "metres, in the frame of the robot's base",
     "velocity": "x_t - x_{t-1}, metres a control step",
@@ -50,6 +51,8 @@ def facts(task: Task) -> list[str]:
         lines.append(f"- checkpoint `{folder.name}`, trained on {', '.join(trained_on(task.name))}")
     if task.object_sets:
         lines.append(f"- sets of objects: {', '.join(f'`{name}`' for name in task.object_sets)}")
+    if task.starts:
+        lines.append(f"- starts: {', '.join(f'`{name}`' for name in task.starts)}")
     return lines
 
 

@@ -92,10 +92,10 @@ class SimEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
     Minus the registered cost on the true clouds; the simulator's own is in `info["simulator_reward"]`.
 
     ## Starting state
-    The simulator's initial distribution; `reset(seed=s)` is the simulator's episode of seed s. A scene with
-    joint positions (`env.unwrapped.scene(truth=True)` of this environment) starts there with
-    `reset(options={"scene": scene})`, also with further free entities (clutter) after the task's own, which
-    observations leave out; `env.unwrapped.scene()` has them.
+    The simulator's initial distribution, of several the one called `starts`; `reset(seed=s)` is the
+    simulator's episode of seed s. A scene with joint positions (`env.unwrapped.scene(truth=True)` of this
+    environment) starts there with `reset(options={"scene": scene})`, also with further free entities
+    (clutter) after the task's own, which observations leave out; `env.unwrapped.scene()` has them.
 
     ## Episode end
     The simulator's own success terminates; `gym.make` adds the time limit.
@@ -111,7 +111,8 @@ class SimEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
     * `observation`: "complete", "completed" or "partial". * `camera`: viewpoint, sensor and completer of the
     last two: a `pwm_gym.envs.CameraConfig`, its fields as a dict, or a viewpoint's name.
     * `points`: points of a scene in all. * `objects`: what episodes draw their objects from, where they differ: one of
-    the task's `object_sets`, an object's name, or names. * `render_mode`: None, "rgb_array" or "human" (a
+    the task's `object_sets`, an object's name, or names. * `starts`: where episodes start, of tasks that have several
+    `starts` (a benchmark's own evaluation tasks, say). * `render_mode`: None, "rgb_array" or "human" (a
     window that shows every step; extra `video`). * `width`, `height`: of its pictures, pixels.
 
     ## Version history
@@ -132,8 +133,11 @@ class SimEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
         objects: str | Sequence[str] | None = None,
         width: int = 320,
         height: int = 320,
+        starts: str | None = None,
     ) -> None:
-        EzPickle.__init__(self, task, cost, grasp, observation, points, render_mode, camera, objects, width, height)
+        EzPickle.__init__(
+            self, task, cost, grasp, observation, points, render_mode, camera, objects, width, height, starts
+        )
         if observation not in OBSERVATIONS:  # before a simulator is made
             raise unknown_name("observation", observation, OBSERVATIONS)
         self.task, self.render_mode = get_task(task), render_mode
@@ -146,7 +150,7 @@ class SimEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
         self.action_space = action_space(self.task.action_size)
         self.observation_space = observation_space(self.layout, self.task.goal_size)
         self._observation = build_observation_model(observation, self.task, CameraConfig.of(camera))
-        self.simulator: Simulator = self.task.make_simulator(objects)
+        self.simulator: Simulator = self.task.make_simulator(objects, starts)
         self._clouds = AssetClouds(self.task, self.layout)
         self._scene: Scene | None = None  # that the episode began with
         self._now: Scene | None = None

@@ -319,7 +319,7 @@ class Practice:
         keep = rng.uniform(0.5, 0.95)
         spread = np.full(self._task.action_size, rng.uniform(0.1, 0.8))
         calm = rng.uniform(0.0, 1.0)
-        for channel in self._control.of_kind("rotation"):
+        for channel in self._control.of_kind("rotation", "yaw"):
             spread[channel.slice] *= calm
         mean = self._rest()
         noise = rng.normal(0.0, spread)

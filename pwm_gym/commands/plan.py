@@ -56,6 +56,8 @@ class Plan:
     objects: str = ""
     """What episodes draw their objects from, where they differ: one of the task's sets, such as "unseen", or an
     object's name; the task's default if not given."""
+    starts: str = ""
+    """Where episodes start, of tasks that have several distributions, such as OGBench's evaluation tasks ("tasks")."""
     observation: str = "complete"
     """What the agent sees: complete clouds, "partial" ones, or ones "completed" from a camera's depth."""
     completer: str = "default"
@@ -109,6 +111,8 @@ class Plan:
         limits = {name: getattr(self, name) for name in ("caution", "workspace", "clear_of")}
         names = ("chunk", "seeds", "objects", "observation", "completer", "sensor", "cost")
         facts = {"planner": planner, "settings": asdict(config), **{name: getattr(self, name) for name in names}}
+        if self.starts:
+            facts["starts"] = self.starts
         recipe = {"task": self.task, "checkpoint": digest(path), "max_steps": most, **limits, **facts}
         if self.guide is not None:
             recipe["guide"] = facts["guide"] = digest(self.guide)
@@ -200,6 +204,8 @@ def _twin(command: Plan) -> gym.Env[Any, Any]:
     most = command._most(get_task(command.task))
     camera = CameraConfig(sensor=command.sensor, completer=command.completer)
     settings: dict[str, Any] = {"observation": command.observation, "objects": command.objects or None}
+    if command.starts:
+        settings["starts"] = command.starts
     return gym.make(f"pwm/{command.task}Sim-v0", max_episode_steps=most, camera=camera, **settings)
 
 

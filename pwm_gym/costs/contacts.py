@@ -57,7 +57,7 @@ _SAME_WAY = 0.995  # cosine of 6 degrees: rough directions between which a box's
 _CLOSE = 0.025  # the paper's grasp distance
 # Metres. ManiSkill's pads sink 0.3 mm (half shut) to 2.8 mm into an object that they hold, and 8 mm into the width of a
 # corner; a model may see it 2 mm nearer to one pad.
-_DEEPEST, _LOOSEST, _PRESSED = -0.008, 0.001, -0.0005
+_DEEPEST, _LOOSEST = -0.008, 0.001
 _HELD = 0.036  # how far from an object's centre its corner can be held
 _SPARSE, _STOPPED = 0.005, 0.0005  # metres, and metres a step: of a grasp on an object whose points lie far apart
 _HALF_SHUT = 0.2  # a gripper commanded below this shuts on an object of 4 cm
@@ -101,7 +101,11 @@ def middle(points: Points, name: str) -> Tensor:
 def tool_centre(points: Points, gripper: Gripper = PANDA) -> Tensor:
     """Point (B, 3) between the finger tips: on the line from the hand's centre through the fingers' centre."""
     fingers = 0.5 * (centre(points, "left_gripper") + centre(points, "right_gripper"))
-    return fingers + gripper.tool_ratio * (fingers - centre(points, "hand"))
+    hand = centre(points, "hand")
+    if gripper.tool_reach is None:
+        return fingers + gripper.tool_ratio * (fingers - hand)
+    way = fingers - hand
+    return hand + gripper.tool_reach * way / way.norm(dim=-1, keepdim=True).clamp_min(1e-6)
 
 
 @once
@@ -210,7 +214,7 @@ def near_and_shut(points: Points, action: Tensor, name: str, gripper: Gripper = 
 def pinched(points: Points, action: Tensor, name: str, gripper: Gripper = PANDA) -> Tensor:
     """Bool (B,): a shutting gripper, its fingers stopped by that part of the object which is between them."""
     gaps = pad_gaps(points, name, gripper)
-    touching = ((gaps >= _DEEPEST) & (gaps <= _LOOSEST)).all(-1) & (gaps.sum(-1) <= _PRESSED)
+    touching = ((gaps >= _DEEPEST) & (gaps <= _LOOSEST)).all(-1) & (gaps.sum(-1) <= gripper.pressed)
     near = tool_distance(points, name, gripper) <= _HELD
     return touching & near & (action[..., -1] < _HALF_SHUT)
 

@@ -63,6 +63,7 @@ class ActionNoise:
     translation: NoiseConfig = NoiseConfig()
     rotation: NoiseConfig = NoiseConfig(sigma=(0.0, 0.0, 0.3))
     """About the base's x, y and z: on a table a tool that points down has to turn about z alone."""
+    yaw: NoiseConfig = NoiseConfig()
     gripper: NoiseConfig = NoiseConfig(sigma=(0.7,), correlation=0.97, min_noise_scale=1.0)
     """Its correlation is high: one step's opening drops what is held, which would hide all other differences between
     the samples. Only wide noise shuts it."""

@@ -13,7 +13,7 @@ from pwm_gym.schema import convert
 
 __all__ = ["Arm", "Channel", "ChannelKind", "Control", "SerialArm"]
 
-ChannelKind = Literal["translation", "rotation", "gripper", "finger", "joint"]
+ChannelKind = Literal["translation", "rotation", "yaw", "gripper", "finger", "joint"]
 _VECTORS = ("translation", "rotation")
 
 
@@ -40,6 +40,8 @@ class SerialArm:
     upper: tuple[float, ...]
     rest: tuple[float, ...]
     """Usual joint angles: where inverse kinematics begins when a scene does not tell them."""
+    bounds: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
+    """Lowest and highest corner of the box in which the controller keeps the tool centre's targets, metres."""
 
     def __post_init__(self) -> None:
         """Check that each joint has limits and a rest."""
@@ -58,8 +60,9 @@ class Channel:
     """Components ``start:stop`` of an action that mean one thing."""
 
     kind: ChannelKind
-    """"translation" and "rotation" change the tool's pose (three components, in the base's frame); a "gripper" opens
-    (1) and shuts (-1); "finger" and "joint" components are targets of single joints."""
+    """"translation" and "rotation" change the tool's pose (three components, in the base's frame); "yaw" turns a tool
+    that the controller keeps pointing down (one component); a "gripper" opens (1) and shuts (-1); "finger" and "joint"
+    components are targets of single joints."""
     start: int
     stop: int
     unit: float = 1.0
@@ -123,8 +126,9 @@ class Control:
                     f"channel {channel.kind!r} takes components {channel.start} to {channel.stop} of the action; "
                     f"expected them to begin at {end}"
                 )
-            if channel.kind in _VECTORS and count != 3:
-                raise PwmGymError(f"channel {channel.kind!r} has {count} components; expected 3")
+            wanted = 3 if channel.kind in _VECTORS else 1 if channel.kind == "yaw" else count
+            if count != wanted:
+                raise PwmGymError(f"channel {channel.kind!r} has {count} components; expected {wanted}")
             if channel.arm and channel.arm not in self.arm_names:
                 raise unknown_name("arm", channel.arm, self.arm_names)
             if channel.kind in _VECTORS and channel is not self.channel(channel.arm, channel.kind):

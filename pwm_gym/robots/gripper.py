@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-__all__ = ["FETCH", "PANDA", "Gripper"]
+__all__ = ["FETCH", "PANDA", "ROBOTIQ", "Gripper"]
 
 
 @dataclass(frozen=True)
@@ -36,6 +36,11 @@ class Gripper:
     """From the tool centre down to what still counts as between the pads."""
     pad_reach: float
     """From the tool centre along x to what still counts as between the pads."""
+    tool_reach: float | None = None
+    """From the mean of the hand's cloud to the tool centre, where the fingers do not move straight; :attr:`tool_ratio`
+    then does not count."""
+    pressed: float = -0.0005
+    """Sum of both pads' gaps to what is between them below which they press on it."""
 
 
 PANDA = Gripper(
@@ -69,3 +74,22 @@ FETCH = Gripper(
     pad_reach=0.0165,
 )
 """The Fetch's hand, of a box around it and of its fingers' boxes; x is along the hand's z axis."""
+
+ROBOTIQ = Gripper(
+    opening=0.085,
+    finger_depth=0.0315,
+    finger_half_width=0.011,
+    pad_half_width=0.011,
+    finger_tip=0.018,
+    hand_height=0.055,
+    hand_half_width=0.0375,
+    hand_half_length=0.0424,
+    tool_ratio=0.304,
+    shut_apart=0.024,
+    pad_end=0.018,
+    pad_reach=0.014,
+    tool_reach=0.109,
+    pressed=0.0005,
+)
+"""The Robotiq 2F-85, measured on the hulls that OGBench's model collides; its fingers swing, and reach 13 mm farther
+when shut: the tips are those of a shut gripper, the ratio that of an open one."""

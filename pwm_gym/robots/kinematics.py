@@ -30,6 +30,7 @@ class ArmKinematics(nn.Module):
     upper: Tensor
     rest: Tensor
     damping: Tensor
+    bounds: Tensor
 
     def __init__(self, arm: SerialArm) -> None:
         super().__init__()
@@ -50,6 +51,7 @@ class ArmKinematics(nn.Module):
             "upper": torch.tensor(arm.upper),
             "rest": torch.tensor(arm.rest),
             "damping": _DAMPING * torch.eye(6),
+            "bounds": torch.tensor(arm.bounds or ((-torch.inf,) * 3, (torch.inf,) * 3)),
         }
         for name, value in tables.items():
             self.register_buffer(name, value.float(), persistent=False)
@@ -109,19 +111,25 @@ class ArmKinematics(nn.Module):
             joints = torch.add(joints, step, alpha=rate)
         return joints, error[..., :3].norm(dim=-1), rate * step.norm(dim=-1)
 
-    def target(self, hand: Tensor, translation: Tensor, angles: Tensor | None) -> Tensor:
-        """Pose (..., 4, 4) that the hand at ``hand`` (..., 4, 4) is asked to take.
+    def target(
+        self, hand: Tensor, translation: Tensor, angles: Tensor | None = None, yaw: Tensor | None = None
+    ) -> Tensor:
+        """Pose (..., 4, 4) that the hand at ``hand`` (..., 4, 4) is asked to take, its tool within the arm's bounds.
 
         Args:
             hand: its present pose.
             translation: of the tool (..., 3), metres.
             angles: turns (..., 3) about x, then y, then z, radians; None keeps the hand's rotation.
+            yaw: turn (..., 1) about the vertical, radians, of a tool that is to point straight down.
         """
         rotation = hand[..., :3, :3]
         if angles is not None:
             x, y, z = rotation_about(self.axis_parts.to(hand), angles).unbind(-3)
             rotation = x @ y @ z @ rotation
-        tool = self._tool(hand)[..., :3, 3] + translation
+        if yaw is not None:
+            rotation = _downward(rotation, yaw)
+        lower, upper = self.bounds.to(hand)
+        tool = torch.minimum(torch.maximum(self._tool(hand)[..., :3, 3] + translation, lower), upper)
         return make_pose(rotation, tool - rotation @ self.tool.to(hand))
 
     def limit(self, joints: Tensor) -> Tensor:
@@ -131,6 +139,15 @@ class ArmKinematics(nn.Module):
     def _tool(self, hand: Tensor) -> Tensor:
         """Pose (..., 4, 4) of the tool on a hand at (..., 4, 4)."""
         return hand @ self.grip.to(hand)
+
+
+def _downward(rotation: Tensor, yaw: Tensor) -> Tensor:
+    """Rotations (..., 3, 3) whose z axis points down, turned by ``yaw`` (..., 1) from the given ones' x axis."""
+    x, y = rotation[..., 0, 0], rotation[..., 1, 0]
+    angle = torch.atan2(y, x) + yaw.squeeze(-1)
+    cosine, sine, zero, one = angle.cos(), angle.sin(), torch.zeros_like(angle), torch.ones_like(angle)
+    rows = [cosine, sine, zero, sine, -cosine, zero, zero, zero, -one]
+    return torch.stack(rows, -1).unflatten(-1, (3, 3))
 
 
 def _error(goal: Tensor, tool: Tensor) -> Tensor:

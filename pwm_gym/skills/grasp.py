@@ -68,7 +68,7 @@ class TopGrasp:
 
         None for a robot that cannot turn its hand: it takes the object as it lies.
         """
-        if not self.robot.control.of_kind("rotation"):
+        if not self.robot.control.of_kind("rotation", "yaw"):
             return 0.0
         tool = tool_pose(self.robot, poses)
         turn = yaw_error(tool, poses[self.entity])

@@ -14,6 +14,9 @@ from pwm_gym.tasks import fetch_pick_and_place, fetch_push, fetch_reach, fetch_s
 
 # isort: split
 from pwm_gym.tasks import adroit_door, adroit_relocate
+
+# isort: split
+from pwm_gym.tasks import ogbench_cube
 from pwm_gym.tasks.registry import TASKS, Expert, Task, get_task, register_task
 
 __all__ = [
@@ -30,6 +33,7 @@ __all__ = [
     "fetch_slide",
     "get_task",
     "mug_cleanup",
+    "ogbench_cube",
     "pick_cube",
     "pick_ycb",
     "register_task",

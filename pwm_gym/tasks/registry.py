@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
-from pwm_gym.errors import PwmGymError, look_up
+from pwm_gym.errors import PwmGymError, look_up, unknown_name
 from pwm_gym.robots import Control, Robot
 from pwm_gym.scene import Layout
 from pwm_gym.sim import Simulator
@@ -39,7 +39,8 @@ class Task:
     layout: Layout
     """The robot's links first, then the task's own entities."""
     simulator: Callable[..., Simulator]
-    """Makes a simulator; it takes ``objects`` where the task has :attr:`object_sets`."""
+    """Makes a simulator; it takes ``objects`` where the task has :attr:`object_sets`, ``starts`` where it has
+    :attr:`starts`."""
     expert: Callable[[np.random.Generator], Expert]
     cost: str
     """Registered cost that ports the simulator's own shaped reward."""
@@ -58,6 +59,8 @@ class Task:
     object_sets: tuple[str, ...] = ()
     """Names of sets that an episode's objects can be drawn from, the default first; none where they are always the
     same."""
+    starts: tuple[str, ...] = ()
+    """Names of distributions that episodes can start from, the default first; none where there is one alone."""
     cloud_seed: int = 0
     max_episode_steps: int = 100
 
@@ -71,21 +74,28 @@ class Task:
         """A."""
         return self.control.size
 
-    def make_simulator(self, objects: str | Sequence[str] | None = None) -> Simulator:
+    def make_simulator(self, objects: str | Sequence[str] | None = None, starts: str | None = None) -> Simulator:
         """A simulator of the task.
 
         Args:
             objects: what episodes draw their objects from: one of :attr:`object_sets`, an object's name, or names; None
                 for the task's default.
+            starts: where episodes start: one of :attr:`starts`; None for the default.
 
         Raises:
+            UnknownNameError: there are no such starts.
             PwmGymError: the task's objects are always the same, or some that were asked for are not there.
         """
-        if objects is None:
-            return self.simulator()
-        if not self.object_sets:
-            raise PwmGymError(f"objects={objects!r}; the objects of {self.name} are always the same")
-        return self.simulator(objects=objects)
+        options: dict[str, Any] = {}
+        if starts is not None:
+            if starts not in self.starts:
+                raise unknown_name(f"starts of {self.name}", starts, self.starts)
+            options["starts"] = starts
+        if objects is not None:
+            if not self.object_sets:
+                raise PwmGymError(f"objects={objects!r}; the objects of {self.name} are always the same")
+            options["objects"] = objects
+        return self.simulator(**options)
 
     @property
     def objects(self) -> tuple[str, ...]:

@@ -11,6 +11,7 @@ from functools import cache
 
 import torch
 from torch import Tensor, nn
+from torch.nn import functional as F
 
 from pwm_gym.dynamics.protocols import Transitions
 from pwm_gym.dynamics.response import LinearResponse
@@ -183,6 +184,8 @@ class Commanded(LinearBaseline):
             arm = next((a.name for a in self.control.arms if a.hand == self.links.names[hand]), "")
             parts = [self.control.channel(arm, "translation"), self.control.channel(arm, "rotation")]
             told = [c.unit * action[:, c.slice] if c else action.new_zeros(len(action), 3) for c in parts]
+            if yaw := self.control.channel(arm, "yaw"):
+                told[1] = F.pad(yaw.unit * action[:, yaw.slice], (2, 0))
             steps.append(torch.cat(told, 1))
         return torch.stack(steps, 1) if steps else action.new_zeros(len(action), 0, 6)
 

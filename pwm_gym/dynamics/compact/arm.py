@@ -64,6 +64,7 @@ class ArmResponse(nn.Module):
         if arm.chain is None or move is None:
             raise PwmGymError(f"arm {arm.name!r} has no known chain, or no channel that translates its tool")
         self.arm, self._move, self._turn = arm, move, control.channel(arm.name, "rotation")
+        self._yaw = control.channel(arm.name, "yaw")
         self.kinematics = ArmKinematics(arm.chain)
         count = arm.chain.joints
         self.register_buffer("weight", torch.zeros(2 * count, 2 * count))
@@ -122,7 +123,8 @@ class ArmResponse(nn.Module):
         if self._turn is not None:
             units = action[..., self._turn.slice]
             angles = self._turn.unit * units / units.norm(dim=-1, keepdim=True).clamp_min(1.0)
-        return self.kinematics.target(hand, translation, angles)
+        yaw = None if self._yaw is None else self._yaw.unit * action[..., self._yaw.slice]
+        return self.kinematics.target(hand, translation, angles, yaw)
 
     def _solution(self, goal: Tensor, joints: Tensor) -> tuple[Tensor, Tensor]:
         """Angles (B, J) near ``joints`` at which the hand is at ``goal`` (B, 4, 4), and whether there are any."""

@@ -84,7 +84,7 @@ class RobotMotion(nn.Module):
         for head in (*self.heads, self.slide):
             nn.init.zeros_(head.weight)
             nn.init.zeros_(head.bias)
-        commands = [c.slice for c in control.of_kind("translation", "rotation", "joint")]
+        commands = [c.slice for c in control.of_kind("translation", "rotation", "yaw", "joint")]
         self._commands = [k for part in commands for k in range(part.start, part.stop)]
         kinds = [e.joint.kind for e in links if e.joint.moves]
         for name, slide, turn in (("position_units", _POSITION, _ANGLE), ("step_units", _SLIDE, _TURN)):

@@ -1,0 +1,183 @@
+"""The Cube tasks of OGBench as simulators."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+
+from pwm_gym.errors import PwmGymError, unknown_name
+from pwm_gym.robots.ur5e import UR5E, opening, tool_pose
+from pwm_gym.sim.mujoco.adapter import MujocoSimulator
+from pwm_gym.sim.protocol import SimOutcome
+
+__all__ = ["GOAL_RADIUS", "STARTS", "WIDTH", "CubeWorld", "cube_simulator"]
+
+GOAL_RADIUS = 0.04
+"""Metres from its goal within which a cube is there."""
+WIDTH = 0.04
+"""Metres: a cube's side."""
+STARTS = ("random", "tasks", "task1", "task2", "task3", "task4", "task5")
+"""Where episodes start: cubes and goals anywhere on the table; OGBench's five evaluation tasks in turn; one of them."""
+
+_VARIANTS = {1: "single", 2: "double"}
+_LOW, _HIGH = (0.3, -0.3), (0.55, 0.3)  # metres: where OGBench's data collection puts cubes and goals
+_APART = 0.08  # metres between cubes, and between their goals, that leave room for fingers
+_MOVED = 0.06  # metres from a cube to its goal, at least
+_STACKED, _STAYS = 0.4, 0.2  # of random episodes with two cubes: goals on top of each other, a cube that is there
+
+
+class CubeWorld:
+    """OGBench's Cube environment, which steps its model itself.
+
+    The gripper's component of an action is turned round: 1 opens it, as for all robots here, and -1 shuts it. The goal
+    is the cubes' positions in a row (3 K,).
+
+    Args:
+        cubes: 1 or 2.
+        starts: one of :data:`STARTS`; of "tasks", the episode of a seed is that of task 1 + seed modulo 5.
+
+    Raises:
+        UnknownNameError: there are no such starts.
+        PwmGymError: OGBench is not installed, or has no such environment.
+    """
+
+    def __init__(self, cubes: int = 1, starts: str = STARTS[0]) -> None:
+        if starts not in STARTS:
+            raise unknown_name("starts", starts, STARTS)
+        if cubes not in _VARIANTS:
+            raise PwmGymError(f"cubes={cubes}; expected 1 or 2")
+        self._cubes, self._starts = cubes, starts
+        self._env = _make(_VARIANTS[cubes])
+        self.reset(0)
+        self.model, self.data = self._env.model, self._env.data
+        self.action_size = len(self._env.action_low)
+        self.period = float(self._env.control_timestep())
+        self._home = self.data.qpos.copy()
+        self._targets = [int(self.model.body(f"object_target_{k}").mocapid[0]) for k in range(cubes)]
+
+    def reset(self, seed: int) -> None:
+        """Start the episode of ``seed``, with OGBench's own noise: places by 1 cm, any turn, the arm anywhere."""
+        if self._starts == "random":
+            options: dict[str, Any] = {"task_info": _draw(self._cubes, np.random.default_rng(seed))}
+        elif self._starts == "tasks":
+            options = {"task_id": 1 + int(seed) % 5}
+        else:
+            options = {"task_id": int(self._starts.removeprefix("task"))}
+        with _quietly():
+            self._env.reset(seed=int(seed), options=options)
+
+    def clear(self) -> None:
+        """Go to a state that is always the same."""
+        import mujoco
+
+        mujoco.mj_resetData(self.model, self.data)
+        self.data.qpos[:] = self._home
+
+    def step(self, action: np.ndarray) -> None:
+        """The environment's own step."""
+        self._env.step(np.r_[action[:-1], -action[-1]])
+
+    def goal(self) -> np.ndarray:
+        """Where the cubes shall be (3 K,)."""
+        return self.data.mocap_pos[self._targets].ravel().copy()
+
+    def set_goal(self, goal: np.ndarray) -> None:
+        """Move the targets to ``goal`` (3 K,)."""
+        self.data.mocap_pos[self._targets] = np.reshape(goal, (-1, 3))
+
+    def close(self) -> None:
+        """Give the environment back; calling it twice is harmless."""
+        if self._env is not None:
+            self._env.close()
+            _FREE.setdefault(_VARIANTS[self._cubes], []).append(self._env)
+            self._env = None
+
+
+_FREE: dict[str, list[Any]] = {}
+"""Closed environments of each variant: compiling the model of one takes seconds."""
+
+
+def _make(variant: str) -> Any:
+    """OGBench's environment in its evaluation mode, whose episodes do not end by themselves."""
+    if _FREE.get(variant):
+        return _FREE[variant].pop()
+    with _quietly():
+        try:
+            from ogbench.manipspace.envs.cube_env import CubeEnv
+        except ImportError as error:
+            raise PwmGymError(f"{error}; OGBench's tasks need it: pip install 'pwm-gym[ogbench]'") from error
+        return CubeEnv(variant, mode="task", terminate_at_goal=False, visualize_info=False)
+
+
+@contextmanager
+def _quietly() -> Iterator[None]:
+    """Without warnings of a missing display and of spaces' precision."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        yield
+
+
+def _draw(cubes: int, rng: np.random.Generator) -> dict[str, Any]:
+    """Random places and goals of the cubes, none of which is solved at the start."""
+    starts = _spread(cubes, rng)
+    while True:
+        goals = _spread(cubes, rng)
+        if cubes > 1 and rng.random() < _STACKED:
+            goals[1] = goals[0] + [0.0, 0.0, WIDTH]
+        elif cubes > 1 and rng.random() < _STAYS:
+            goals[0] = starts[0]
+            if np.linalg.norm(goals[1] - goals[0]) < _APART:
+                continue
+        if np.linalg.norm(goals - starts, axis=1).max() > _MOVED:
+            return {"task_name": "random", "init_xyzs": starts, "goal_xyzs": goals}
+
+
+def _spread(cubes: int, rng: np.random.Generator) -> np.ndarray:
+    """Places (K, 3) of cubes on the table, apart from each other."""
+    while True:
+        places = np.c_[rng.uniform(_LOW, _HIGH, (cubes, 2)), np.full(cubes, 0.5 * WIDTH)]
+        ways = np.linalg.norm(places[:, None] - places, axis=-1)
+        if cubes == 1 or ways[np.triu_indices(cubes, 1)].min() > _APART:
+            return places
+
+
+def cube_simulator(cubes: Sequence[str], starts: str = STARTS[0]) -> MujocoSimulator:
+    """A Cube task, whose success rule is OGBench's: all cubes within 4 cm of their goals.
+
+    The reward is dense, in [0, 1]: of each cube that is at its goal a share, of the next one parts of that for
+    reaching, holding and bringing it; success is worth 1.
+
+    Args:
+        cubes: what the cubes' entities are called.
+        starts: one of :data:`STARTS`.
+    """
+
+    def judge(simulator: MujocoSimulator) -> SimOutcome:
+        goals = simulator.goal().astype(float).reshape(-1, 3)
+        places = np.stack([simulator.pose(name)[:3] for name in cubes])
+        there = np.linalg.norm(goals - places, axis=1) <= GOAL_RADIUS
+        held = [_held(simulator, name) for name in cubes]
+        if there.all():
+            return SimOutcome(1.0, True, any(held))
+        k = int(np.lexsort((goals[:, 2].round(3), there))[0])  # the next one: not there, its goal the lowest
+        reach = _nearness(tool_pose(simulator.poses())[:3] - places[k])
+        reward = 4.0 * there.sum() + reach + held[k] * (1.0 + _nearness(places[k] - goals[k]))
+        return SimOutcome(float(reward) / (4.0 * len(cubes)), False, any(held))
+
+    bodies = {**UR5E.links, **{name: f"object_{k}" for k, name in enumerate(cubes)}}
+    return MujocoSimulator(CubeWorld(len(cubes), starts), bodies, judge, control=UR5E.control)
+
+
+def _held(simulator: MujocoSimulator, name: str) -> bool:
+    """Whether both fingers touch a cube, and are not shut."""
+    touched = all(simulator.touching(finger, name) for finger in ("left_gripper", "right_gripper"))
+    return touched and opening(simulator.poses()) > 0.5 * WIDTH
+
+
+def _nearness(way: np.ndarray) -> float:
+    """1 at a way (3,) of no length, 1 - tanh(5 d) at ``d`` metres."""
+    return float(1.0 - np.tanh(5.0 * np.linalg.norm(way)))
