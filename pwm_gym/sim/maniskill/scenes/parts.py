@@ -17,7 +17,7 @@ from pwm_gym.sim.maniskill.build import add_shapes
 from pwm_gym.sim.maniskill.scenes.common import about_z
 from pwm_gym.sim.mugs import MUGS
 
-__all__ = ["build_cabinet", "build_machine", "build_mugs", "build_pod", "put_articulation", "random_places"]
+__all__ = ["build_cabinet", "build_machine", "build_mugs", "build_pod", "near_places", "put_articulation", "random_places"]
 
 _DRAWER_FRICTION, _DRAWER_DAMPING = 1.0, 20.0  # it stays where it is left
 _POD_FRICTION, _MACHINE_FRICTION, _LID_DAMPING = 0.5, 0.3, 0.004
@@ -117,6 +117,14 @@ def random_places(low: tuple[float, float], high: tuple[float, float], heights: 
     flat = corner + torch.rand((count, 2)) * (torch.tensor(high) - corner)
     places = torch.cat([flat, heights.unsqueeze(-1)], -1)
     return Pose.create_from_pq(places, about_z(2 * np.pi * torch.rand(count)))
+
+
+def near_places(place: tuple[float, float, float], spread: tuple[float, float, float], count: int) -> Any:
+    """Poses near a place (3,), by ``spread`` (x, y and yaw) to either side."""
+    offset = (2 * torch.rand((count, 3)) - 1) * torch.tensor(spread)
+    places = torch.tensor(place).repeat(count, 1)
+    places[:, :2] += offset[:, :2]
+    return Pose.create_from_pq(places, about_z(offset[:, 2]))
 
 
 def _limits(joint: Joint) -> list[list[float]]:
