@@ -1,6 +1,6 @@
 """Point-cloud costs, success rules and grasp rules, by name."""
 
-from pwm_gym.costs import contacts, doors, drawers, lids, motion, objects, sequences, shaped, terms
+from pwm_gym.costs import box_lids, contacts, doors, drawers, hands, lids, motion, objects, sequences, shaped, terms
 from pwm_gym.costs.registry import (
     COSTS,
     GRASPS,
@@ -29,6 +29,7 @@ __all__ = [
     "Points",
     "Stage",
     "StagedCost",
+    "box_lids",
     "contacts",
     "cost_info",
     "doors",
@@ -36,6 +37,7 @@ __all__ = [
     "get_cost",
     "get_grasp",
     "get_success",
+    "hands",
     "lids",
     "motion",
     "objects",

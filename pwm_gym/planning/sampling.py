@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from pwm_gym.errors import PwmGymError
-from pwm_gym.planning.noise import ActionNoise, sample_mask
+from pwm_gym.planning.noise import ActionNoise, counterparts, sample_mask, share_mask
 from pwm_gym.robots import Control
 
 __all__ = ["Objective", "Planner", "SamplingConfig", "SamplingPlanner"]
@@ -71,6 +71,8 @@ class SamplingConfig:
     samples."""
     single_arm_share: float = 0.5
     """Share of the samples that perturb one arm alone, each arm in turn, where a robot has several."""
+    together_share: float = 0.0
+    """Share of the samples in which all arms move as the first one does: what several hands hold goes with them."""
     single_component_share: float = 0.0
     """Share of the samples that perturb one component alone, each in turn: where a task asks for exact places, a good
     turn of the hand or a way straight down is lost among the bad motions that come with it."""
@@ -99,7 +101,7 @@ class SamplingConfig:
                 raise PwmGymError(f"{name}={getattr(self, name)}; expected at least 1")
         if self.stop_samples < 0:
             raise PwmGymError(f"stop_samples={self.stop_samples}; expected 0 or more")
-        for name in ("single_arm_share", "single_component_share"):
+        for name in ("single_arm_share", "together_share", "single_component_share"):
             if not 0.0 <= getattr(self, name) <= 1.0:
                 raise PwmGymError(f"{name}={getattr(self, name)}; expected 0 to 1")
         if not 1 <= self.elites <= self.samples:
@@ -130,6 +132,10 @@ class SamplingPlanner(ABC, Generic[Config]):
 
         self._sigma, self._bound = tensor(noise.sigma), tensor(noise.bound)
         self._correlation = tensor(noise.correlation)
+        mixing = noise.mixing()
+        self._mixing = None if mixing is None else mixing.to(device)
+        self._together = share_mask(config.samples, config.together_share, step=3).to(device)
+        self._counterparts = torch.tensor(counterparts(control), device=device)
         self._fresh = (1.0 - self._correlation.square()).sqrt()
         self._stop_samples = min(config.stop_samples, config.horizon, config.samples // 4)
         self._scale = self._noise_scale(control, tensor(noise.min_noise_scale))
@@ -247,4 +253,8 @@ class SamplingPlanner(ABC, Generic[Config]):
         )
         for h in range(1, c.horizon):
             noise[:, :, h] = self._correlation * noise[:, :, h - 1] + self._fresh * noise[:, :, h]
+        if self._mixing is not None:
+            noise = noise @ self._mixing
+        if self.config.together_share:
+            noise[:, self._together] = noise[:, self._together][..., self._counterparts]
         return noise

@@ -14,6 +14,7 @@ from pwm_gym.skills.pinch import Pinch
 from pwm_gym.skills.place import Place
 from pwm_gym.skills.prepare import Prepare
 from pwm_gym.skills.push import Push
+from pwm_gym.skills.put_lid import PutLid
 from pwm_gym.skills.table_push import TablePush
 from pwm_gym.skills.table_tap import TableTap
 
@@ -31,6 +32,7 @@ __all__ = [
     "Place",
     "Prepare",
     "Push",
+    "PutLid",
     "TablePush",
     "TableTap",
     "TopGrasp",

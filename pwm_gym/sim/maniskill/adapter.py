@@ -320,6 +320,8 @@ def _make(task: str, control_mode: str, robot_uids: str | None) -> Any:
     import gymnasium as gym
     import mani_skill.envs  # noqa: F401  (registers the tasks)
 
+    import pwm_gym.sim.maniskill.scenes  # noqa: F401  (registers our own)
+
     allow_headless()  # once more, for the modules that the import has loaded
     robot: dict[str, Any] = {} if robot_uids is None else {"robot_uids": robot_uids}
     return gym.make(
