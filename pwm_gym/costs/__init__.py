@@ -1,6 +1,19 @@
 """Point-cloud costs, success rules and grasp rules, by name."""
 
-from pwm_gym.costs import box_lids, contacts, doors, drawers, hands, lids, motion, objects, sequences, shaped, terms
+from pwm_gym.costs import (
+    box_lids,
+    contacts,
+    doors,
+    drawers,
+    hand_drawers,
+    hands,
+    lids,
+    motion,
+    objects,
+    sequences,
+    shaped,
+    terms,
+)
 from pwm_gym.costs.registry import (
     COSTS,
     GRASPS,
@@ -37,6 +50,7 @@ __all__ = [
     "get_cost",
     "get_grasp",
     "get_success",
+    "hand_drawers",
     "hands",
     "lids",
     "motion",

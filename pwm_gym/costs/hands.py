@@ -5,7 +5,7 @@ The robot is that of :mod:`pwm_gym.robots.two_hands`: a hand's axes are told by 
 
 from __future__ import annotations
 
-from math import atan2, cos, sin
+from math import atan2, cos, pi, sin
 
 import torch
 from torch import Tensor
@@ -13,13 +13,16 @@ from torch import Tensor
 from pwm_gym.costs import contacts
 from pwm_gym.costs.contacts import Points, once
 from pwm_gym.costs.terms import Info, Place, Term
-from pwm_gym.robots.two_hands import FINGERS, SIDES, SIGN, TOOL, TWO_HANDS, boxes
+from pwm_gym.robots.two_hands import FINGERS, SIDES, SIGN, TOOL, TWO_HANDS, boxes, finger_targets
 
 __all__ = [
+    "OPPOSITE",
     "across",
     "arm_speed",
     "axes",
     "bent",
+    "bent_fingers",
+    "bent_thumb",
     "ground_contact",
     "low",
     "normal",
@@ -29,8 +32,14 @@ __all__ = [
     "tool_place",
 ]
 
+OPPOSITE = float(finger_targets((0.5 * pi, 0.0), 0.0)[0])
+"""Target of a thumb's first joint that swings it opposite to the fingers."""
+
 _PALM = boxes("left_palm")[0][1]  # centre of the palm in its own frame
-_LEAN = atan2(TOOL[0] - _PALM[0], TOOL[2] - _PALM[2])  # of the way from the palm's centre to the tool, from the hand's z
+_LEAN = atan2(
+    TOOL[0] - _PALM[0], TOOL[2] - _PALM[2]
+)  # of the way from the palm's centre to the tool, from the hand's z
+_THUMB_JOINTS = 2  # come first among a hand's targets
 _LOWEST = 0.004  # metres over the ground, under which a hand presses on it
 _REACH = 0.5  # metres: speed of a hand over that of the arm's joints, where they are not known
 _UPRIGHT = 0.035  # sine of 2 degrees
@@ -75,11 +84,32 @@ def tilted(points: Points, info: Info) -> Tensor:
     return sum((tilt - _UPRIGHT).clamp_min(0.0) for tilt in tilts) + torch.zeros_like(tilts[0])
 
 
+def _targets(sides: tuple[str, ...], first: int) -> list[int]:
+    """Components of an action that are finger targets of ``sides``, from the ``first`` of each hand on."""
+    channels = [TWO_HANDS.control.channel(side, "finger") for side in sides]
+    return [k for channel in channels if channel for k in range(channel.start + first, channel.stop)]
+
+
+def _mean_bend(places: list[int]) -> Term:
+    return lambda points, info: 0.5 * (info["action"][..., places] + 1.0).mean(-1)
+
+
 def bent(*sides: str) -> Term:
     """How far hands are told to bend, 0 straight to 1: mean over the finger targets of ``sides``."""
-    channels = [TWO_HANDS.control.channel(side, "finger") for side in sides]
-    places = [k for channel in channels if channel for k in range(channel.start, channel.stop)]
-    return lambda points, info: 0.5 * (info["action"][..., places] + 1.0).mean(-1)
+    return _mean_bend(_targets(sides, 0))
+
+
+def bent_fingers(*sides: str) -> Term:
+    """The same without the thumbs."""
+    return _mean_bend(_targets(sides, _THUMB_JOINTS))
+
+
+def bent_thumb(side: str) -> Term:
+    """How far the second joint of one hand's thumb is told to bend, 0 straight to 1."""
+    channel = TWO_HANDS.control.channel(side, "finger")
+    assert channel is not None
+    place = channel.start + 1
+    return lambda points, info: 0.5 * (info["action"][..., place] + 1.0)
 
 
 @once

@@ -132,12 +132,12 @@ class SamplingPlanner(ABC, Generic[Config]):
 
         self._sigma, self._bound = tensor(noise.sigma), tensor(noise.bound)
         self._correlation = tensor(noise.correlation)
+        self._fresh = (1.0 - self._correlation.square()).sqrt()
+        self._stop_samples = min(config.stop_samples, config.horizon, config.samples // 4)
         mixing = noise.mixing()
         self._mixing = None if mixing is None else mixing.to(device)
         self._together = share_mask(config.samples, config.together_share, step=3).to(device)
         self._counterparts = torch.tensor(counterparts(control), device=device)
-        self._fresh = (1.0 - self._correlation.square()).sqrt()
-        self._stop_samples = min(config.stop_samples, config.horizon, config.samples // 4)
         self._scale = self._noise_scale(control, tensor(noise.min_noise_scale))
         # What standing still means: absolute targets and hands stay as they are, all else returns to its rest value.
         absolute = [c.rest is None for c in control.channels for _ in range(c.start, c.stop)]
@@ -159,7 +159,8 @@ class SamplingPlanner(ABC, Generic[Config]):
             place = torch.linspace(0.0, 1.0, samples, device=least.device).unsqueeze(-1)
             scale = 1.0 - place * (1.0 - least)
         shares = self.config.single_arm_share, self.config.single_component_share
-        moves = sample_mask(control, self._sigma.tolist(), samples, *shares)
+        moves = sample_mask(control, self._sigma.tolist(), samples, *shares).to(self._together.device)
+        moves = moves | self._together.unsqueeze(1)  # they move all arms, whatever the shares say
         return (scale * moves.to(scale)).unsqueeze(1)
 
     @property

@@ -85,7 +85,9 @@ class PutLid:
             arm = self._grip(side) - self.poses[-1, :3]
             moved = step + np.cross(turn * _UP, arm)
             push = -_PUSH * self._ways_out[side]
-            reaches[side] = Reach(self._grip(side) + moved, -_turned(self._ways_out[side], turn), self.speed, FLAT, push)
+            reaches[side] = Reach(
+                self._grip(side) + moved, -_turned(self._ways_out[side], turn), self.speed, FLAT, push
+            )
         return act(self.poses, reaches)
 
     def _leave(self) -> np.ndarray:

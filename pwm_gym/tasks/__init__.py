@@ -20,6 +20,9 @@ from pwm_gym.tasks import ogbench_cube
 
 # isort: split
 from pwm_gym.tasks import two_arm_box_cleanup
+
+# isort: split
+from pwm_gym.tasks import two_arm_box_cleanup, two_arm_drawer_cleanup
 from pwm_gym.tasks.registry import TASKS, Expert, Task, get_task, register_task
 
 __all__ = [
@@ -42,4 +45,5 @@ __all__ = [
     "register_task",
     "stack_cube",
     "two_arm_box_cleanup",
+    "two_arm_drawer_cleanup",
 ]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import trimesh
@@ -20,7 +20,7 @@ from pwm_gym.sim.maniskill.props import SceneProps
 from pwm_gym.sim.props import Prop, get_prop
 from pwm_gym.sim.protocol import SimOutcome
 
-__all__ = ["AssetChoice", "ManiSkillSimulator"]
+__all__ = ["AssetChoice", "HoldsArms", "ManiSkillSimulator"]
 
 _NO_TIME_LIMIT = 1_000_000  # the package's environments own their limits
 _GRASP_KEY = "is_grasped"  # what most of ManiSkill's tasks call it in their info
@@ -39,6 +39,14 @@ class AssetChoice(Protocol):
 
     def names(self, env: Any) -> Mapping[str, str]:
         """Entity -> asset in the present scene; entities whose asset is always the same may be left out."""
+
+
+@runtime_checkable
+class HoldsArms(Protocol):
+    """A controller that leaves an arm where it is when its target is out of reach."""
+
+    holding: tuple[str, ...]
+    """Names of those that it left in the last step."""
 
 
 class ManiSkillSimulator:
@@ -278,7 +286,9 @@ class ManiSkillSimulator:
         return self._outcome(self._base.compute_normalized_dense_reward(obs=None, action=action, info=info), info)
 
     def _outcome(self, reward: Any, info: Mapping[str, Any]) -> SimOutcome:
-        return SimOutcome(float(reward), bool(info.get("success", False)), self._grasped(info))
+        controller = self._base.agent.controller
+        holding = controller.holding if isinstance(controller, HoldsArms) else ()
+        return SimOutcome(float(reward), bool(info.get("success", False)), self._grasped(info), holding)
 
     def _grasped(self, info: Mapping[str, Any]) -> bool:
         name = self._grasp_name
@@ -291,8 +301,15 @@ class ManiSkillSimulator:
         return bool(info[name])
 
     def poses(self) -> np.ndarray:
-        """Entity poses (E, 7) in the base's frame."""
+        """Entity poses (E, 7) in the base's frame.
+
+        Raises:
+            SceneError: the simulation has broken down, and tells a pose that is not finite.
+        """
         world = np.stack([pose7(entity.pose) for entity in self._entities.values()])
+        if not np.isfinite(world).all():
+            lost = next(name for name, pose in zip(self._entities, world, strict=True) if not np.isfinite(pose).all())
+            raise SceneError(f"{self._task}: the simulator's pose of {lost!r} is not finite; reset() starts anew")
         return relative(self._world, world)
 
     def goal(self) -> np.ndarray:

@@ -45,10 +45,12 @@ class TwoHandsController(BaseController):
     def _initialize_joints(self) -> None:
         if self.articulation.scene.num_envs > 1 or self.articulation.scene.gpu_sim_enabled:
             raise PwmGymError("two_hands is driven in one environment on the CPU; got several, or a GPU's")
-        super()._initialize_joints()
         known = [joint.name for joint in self.articulation.get_active_joints()]
         if lacking := [name for name in JOINT_NAMES if name not in known]:
-            raise PwmGymError(f"the robot has no joint {lacking[0]!r}; two hands need it to follow their fingers")
+            raise PwmGymError(
+                f"the robot has no joint {lacking[0]!r}; two hands are driven by all of {len(JOINT_NAMES)}"
+            )
+        super()._initialize_joints()
         self._native = self.articulation._objs[0]
         self.order = [known.index(name) for name in JOINT_NAMES]
         self._drives = [self._native.active_joints[k] for k in self.order]
@@ -158,7 +160,7 @@ class TwoHandsAgent(BaseAgent):
         self.robot_link_names = [link.name for link in self.robot.get_links()]
 
     def rest(self, noise: np.ndarray) -> np.ndarray:
-        """Usual joint positions (34,) in SAPIEN's order, ``noise`` (34,) radians beside them where they are an arm's."""
+        """Usual joint positions (34,) in SAPIEN's order, an arm's with ``noise`` (34,) added, radians."""
         positions = np.array(REST)
         for arm in TWO_HANDS.control.arms:
             positions[arm.joints] += noise[arm.joints]

@@ -16,4 +16,11 @@ from pwm_gym.sim.maniskill.scenes.mug_cleanup import MugChoice, MugCleanupEnv  #
 from pwm_gym.sim.maniskill.scenes.two_arm_box_cleanup import TwoArmBoxCleanupEnv  # noqa: E402
 from pwm_gym.sim.maniskill.scenes.two_arm_drawer_cleanup import TwoArmDrawerCleanupEnv  # noqa: E402
 
-__all__ = ["CoffeeEnv", "CoffeePreparationEnv", "MugChoice", "MugCleanupEnv", "TwoArmBoxCleanupEnv", "TwoArmDrawerCleanupEnv"]
+__all__ = [
+    "CoffeeEnv",
+    "CoffeePreparationEnv",
+    "MugChoice",
+    "MugCleanupEnv",
+    "TwoArmBoxCleanupEnv",
+    "TwoArmDrawerCleanupEnv",
+]

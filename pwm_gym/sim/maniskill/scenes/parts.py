@@ -17,7 +17,15 @@ from pwm_gym.sim.maniskill.build import add_shapes
 from pwm_gym.sim.maniskill.scenes.common import about_z
 from pwm_gym.sim.mugs import MUGS
 
-__all__ = ["build_cabinet", "build_machine", "build_mugs", "build_pod", "near_places", "put_articulation", "random_places"]
+__all__ = [
+    "build_cabinet",
+    "build_machine",
+    "build_mugs",
+    "build_pod",
+    "near_places",
+    "put_articulation",
+    "random_places",
+]
 
 _DRAWER_FRICTION, _DRAWER_DAMPING = 1.0, 20.0  # it stays where it is left
 _POD_FRICTION, _MACHINE_FRICTION, _LID_DAMPING = 0.5, 0.3, 0.004
@@ -41,7 +49,9 @@ def build_cabinet(scene: Any, place: tuple[float, float], model: Any = cabinet) 
     drawer.set_name("drawer")
     drawer.set_joint_name("slide")
     origin = sapien.Pose(model.DRAWER_JOINT.origin[:3])  # SAPIEN's joints slide along x, as this one does
-    drawer.set_joint_properties("prismatic", _limits(model.DRAWER_JOINT), origin, sapien.Pose(), damping=_DRAWER_DAMPING)
+    drawer.set_joint_properties(
+        "prismatic", _limits(model.DRAWER_JOINT), origin, sapien.Pose(), damping=_DRAWER_DAMPING
+    )
     add_shapes(drawer, model.DRAWER, _WOOD, density=400.0)
     builder.initial_pose = sapien.Pose([*place, model.CABINET_HALF[2]], [0.0, 0.0, 0.0, 1.0])
     built = builder.build(name="cabinet", fix_root_link=True)
