@@ -126,7 +126,7 @@ def ground_contact(points: Points, info: Info) -> Tensor:
 
 
 def arm_speed(points: Points, info: Info) -> Tensor:
-    """Speed (B,) of the fastest joint of both arms, rad/s; where joints are not known, as the hands' motion tells it."""
+    """Speed (B,) of both arms' fastest joint, rad/s; where joints are not known, as the hands' motion tells it."""
     rate = 1.0 / TWO_HANDS.control.period
     joints = info.get("joints")
     if joints is None:

@@ -217,7 +217,7 @@ def test_fingers_of_a_hand_move_together_each_a_little_its_own_way():
     config = MPPIConfig(samples=4000, horizon=1, stop_samples=0, single_arm_share=0.0, noise=noise)
     *samples, mean = seen_by(config, BOTH, last_action=torch.zeros(1, 24))
     moves = (torch.stack(samples) - mean)[:, 0]
-    found = np.corrcoef(moves.numpy().T)
+    found = torch.cov(moves.T).numpy() / 0.3**2
     fingers = [k for k, kind in enumerate(BOTH.kinds) if kind == "finger"]
     left, right = fingers[: len(fingers) // 2], fingers[len(fingers) // 2 :]
     pairs = [(i, k) for hand in (left, right) for i in hand for k in hand if i < k]

@@ -68,7 +68,7 @@ def test_the_solver_agrees_with_the_batched_kinematics(arm):
     rng = np.random.default_rng(0)
     for _ in range(8):
         joints = np.array(arm.chain.rest) + rng.normal(0.0, 0.2, 7)
-        hand = known(torch.as_tensor(joints).float())
+        hand = known(torch.as_tensor(joints[None]).float())[0]
         np.testing.assert_allclose(solver.tool(joints), (hand @ known.grip).numpy(), atol=1e-5)
         way, turn = rng.uniform(-0.05, 0.05, 3), rng.uniform(-0.1, 0.1, 3)
         goal = solver.target(solver.tool(joints), way, turn)
@@ -86,7 +86,7 @@ def test_the_solver_tells_by_how_much_it_misses_what_is_out_of_reach():
 
 
 def test_tools_lie_amid_straight_fingers_and_palms_face_each_other_at_rest():
-    palms = {arm.name: ArmKinematics(arm.chain)(torch.tensor(arm.chain.rest)) for arm in ARMS}
+    palms = {arm.name: ArmKinematics(arm.chain)(torch.tensor([arm.chain.rest]))[0] for arm in ARMS}
     poses = np.zeros((len(TWO_HANDS.driven), 7))
     poses[:, 3] = 1.0
     for side, y in (("left", 0.3), ("right", -0.3)):

@@ -35,7 +35,7 @@ def test_links_are_where_the_joints_put_them(twin):
     simulator = twin.unwrapped.simulator
     joints, poses = simulator.joints()[0], simulator.poses()
     for arm in TWO_HANDS.control.arms:
-        hand = ArmKinematics(arm.chain)(torch.as_tensor(joints[arm.joints]))
+        hand = ArmKinematics(arm.chain)(torch.as_tensor(joints[None, arm.joints]))[0]
         np.testing.assert_allclose(poses[TASK.layout.index(arm.hand), :3], hand[:3, 3].numpy(), atol=1e-4)
 
 
