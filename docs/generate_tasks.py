@@ -24,7 +24,7 @@ _MORE = {
     "TwoArmBoxCleanup": "In ManiSkill, too: `import pwm_gym.sim.maniskill.scenes` registers `TwoArmBoxCleanup-v1` "
     "there, with the robot `two_hands`, in one environment on the CPU. The hands are boxes of our own geometry; their "
     "second finger joints follow the first by a rule that the controller keeps. An arm whose tool would be more than "
-    "2 mm off its target holds; `info[\"holding\"]` names it.\n",
+    '2 mm off its target holds; `info["holding"]` names it.\n',
     "TwoArmDrawerCleanup": "In ManiSkill, too: `import pwm_gym.sim.maniskill.scenes` registers "
     "`TwoArmDrawerCleanup-v1` there. The robot is TwoArmBoxCleanup's.\n",
     "AdroitHandDoor": "No checkpoint comes with it, and its script explores: it reaches, grasps and pulls, turns the "

@@ -52,7 +52,7 @@ class MPPIConfig(SamplingConfig):
         turns = replace(fine.noise.rotation, sigma=(0.1, 0.1, 0.2))
         fingers = replace(fine.noise.finger, sigma=(0.5,), correlation=0.97, synergy=0.8)
         noise = replace(fine.noise, rotation=turns, finger=fingers)
-        return replace(fine, noise=noise, samples=128, elites=40, single_arm_share=0.4, together_share=0.4)
+        return replace(fine, noise=noise, single_arm_share=0.4, together_share=0.4)
 
     @classmethod
     def paper(cls, horizon: int = 10) -> MPPIConfig:

@@ -36,7 +36,8 @@ _TRAVEL = 0.12  # of the tool over that height, on its way
 _THERE = (0.009, 0.010)  # beside and over its place, from where the hand closes
 _HOLDS = (0.008, 0.006)  # gaps to the mug of fingers and thumb that hold it
 _CARRY = 0.13  # of the mug's bottom over the tray's floor, at which it is carried
-_ON_FLOOR, _IN_TRAY = 0.004, 0.014
+_OVER_PLACE, _ASTRAY = 0.012, 0.030  # beside its place: the mug is lowered; it is lifted again first
+_ON_FLOOR, _IN_TRAY = 0.009, 0.014  # a mug that leans a little comes no lower than 7 mm
 _OPEN = 0.06  # radians of the thumb that has let the mug go
 _CLEAR = 0.13  # of the tool over the mug's middle, when the drawer may be shut
 
@@ -109,12 +110,16 @@ class FillDrawer:
     def _carry(self) -> Reach:
         """Lift, carry over the tray, lower; wait where the drawer is not open."""
         way = self._place - self.poses[-1, :3]
-        beside = float(np.hypot(*way[:2]))
-        if beside > 0.012 or self.opening < OPENED:
-            way[2] += _CARRY
+        beside, height = float(np.hypot(*way[:2])), -float(way[2])
+        if beside > _ASTRAY or self.opening < OPENED:
+            way[2] = _CARRY - height
             if way[2] > 0.03 or self.opening < OPENED:
                 way[:2] = 0.0
-        return self._right_reach(self._right_tool[:3] + way, _CLOSED)
+        elif beside > _OVER_PLACE:
+            way[2] = min(_CARRY - height, 0.0)
+        sideways = min(1.0, self.speed / max(beside, 1e-9))
+        step = np.r_[sideways * way[:2], np.clip(way[2], -0.7 * self.speed, self.speed)]
+        return self._right_reach(self._right_tool[:3] + step, _CLOSED)
 
     def _let_go(self, offset: np.ndarray) -> Reach:
         """Open; up, once the thumb has left the mug."""
