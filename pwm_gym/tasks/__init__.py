@@ -19,9 +19,6 @@ from pwm_gym.tasks import adroit_door, adroit_relocate
 from pwm_gym.tasks import ogbench_cube
 
 # isort: split
-from pwm_gym.tasks import two_arm_box_cleanup
-
-# isort: split
 from pwm_gym.tasks import two_arm_box_cleanup, two_arm_drawer_cleanup
 from pwm_gym.tasks.registry import TASKS, Expert, Task, get_task, register_task
 
