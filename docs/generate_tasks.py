@@ -21,6 +21,12 @@ _MORE = {
     "Coffee": "In ManiSkill, too: `import pwm_gym.sim.maniskill.scenes` registers `Coffee-v1` there.\n",
     "CoffeePreparation": "In ManiSkill, too: `import pwm_gym.sim.maniskill.scenes` registers `CoffeePreparation-v1` "
     "there. No model is trained on it: it is made of parts of MugCleanup and Coffee.\n",
+    "TwoArmBoxCleanup": "In ManiSkill, too: `import pwm_gym.sim.maniskill.scenes` registers `TwoArmBoxCleanup-v1` "
+    "there, with the robot `two_hands`, in one environment on the CPU. The hands are boxes of our own geometry; their "
+    "second finger joints follow the first by a rule that the controller keeps. An arm whose tool would be more than "
+    '2 mm off its target holds; `info["holding"]` names it.\n',
+    "TwoArmDrawerCleanup": "In ManiSkill, too: `import pwm_gym.sim.maniskill.scenes` registers "
+    "`TwoArmDrawerCleanup-v1` there. The robot is TwoArmBoxCleanup's.\n",
     "AdroitHandDoor": "No checkpoint comes with it, and its script explores: it reaches, grasps and pulls, turns the "
     "latch in most episodes and seldom opens the door. The reward is Gymnasium-Robotics' own, whose first term pays "
     "for distance from the handle; planners get a cost of their own.\n",

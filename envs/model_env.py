@@ -37,6 +37,14 @@ class ModelEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
     | 3-5 | rotation of the tool, about x, y, z | -0.1 rad (the controller's sign) |
     | 6 | gripper, absolute | 1 open, -1 shut |
 
+    `Box(-1, 1, (24,), float32)` for the tasks of two arms with hands, of the left arm and then the right one:
+
+    | index | meaning | unit of 1.0 |
+    |---|---|---|
+    | 0-2, 12-14 | translation of the tool | 0.1 m asked for |
+    | 3-5, 15-17 | rotation of the tool, about x, y, z | 0.1 rad |
+    | 6-11, 18-23 | thumb's swing and bend, four fingers, absolute | 1 bent, -1 straight |
+
     ## Observation space
     `Dict`, float32, robot base's frame; `env.unwrapped.entities` names the slices of N:
 

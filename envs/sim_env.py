@@ -101,8 +101,9 @@ class SimEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
     The simulator's own success terminates; `gym.make` adds the time limit.
 
     ## Info
-    `success` (the simulator's), `grasped`, `cost_terms`, `reason`, `simulator_reward`, `simulator_grasped`; of tasks
-    that are sequences of stages `stage`, the present one's name;
+    `success` (the simulator's), `grasped`, `cost_terms`, `reason`, `simulator_reward`, `simulator_grasped`, `holding`
+    (names of the arms that stayed where they were, because what they were asked for is out of their reach; only of
+    robots whose controllers tell); of tasks that are sequences of stages `stage`, the present one's name;
     with the "completed" observation `completion_error` (expected Chamfer distance of each object's
     completed cloud, metres) and `perception_seconds`.
 
@@ -291,6 +292,7 @@ class SimEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
             **({} if judgement.stage is None else {"stage": self.rules.stage_names[int(judgement.stage[0])]}),
             "simulator_reward": outcome.reward,
             "simulator_grasped": outcome.grasped,
+            "holding": ", ".join(outcome.holding),
         }
 
     def render(self) -> np.ndarray | None:

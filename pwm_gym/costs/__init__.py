@@ -1,6 +1,19 @@
 """Point-cloud costs, success rules and grasp rules, by name."""
 
-from pwm_gym.costs import contacts, doors, drawers, lids, motion, objects, sequences, shaped, terms
+from pwm_gym.costs import (
+    box_lids,
+    contacts,
+    doors,
+    drawers,
+    hand_drawers,
+    hands,
+    lids,
+    motion,
+    objects,
+    sequences,
+    shaped,
+    terms,
+)
 from pwm_gym.costs.registry import (
     COSTS,
     GRASPS,
@@ -29,6 +42,7 @@ __all__ = [
     "Points",
     "Stage",
     "StagedCost",
+    "box_lids",
     "contacts",
     "cost_info",
     "doors",
@@ -36,6 +50,8 @@ __all__ = [
     "get_cost",
     "get_grasp",
     "get_success",
+    "hand_drawers",
+    "hands",
     "lids",
     "motion",
     "objects",

@@ -23,6 +23,7 @@ __all__ = [
     "before_handle",
     "behind_handle",
     "fingers_blocking",
+    "front",
     "hand_blocking",
     "handle",
     "inside",
@@ -57,6 +58,10 @@ class Drawer:
     """Where things are put: behind the foremost point."""
     name: str = "drawer"
     cabinet: str = "cabinet"
+    aside: float = 0.0
+    """The bar's middle beside that of the drawer, to the left of the way in which it opens."""
+    place_aside: float = 0.0
+    """The same of the place."""
 
 
 CABINET_DRAWER = Drawer(
@@ -75,6 +80,11 @@ def _front(points: Points, drawer: Drawer) -> Tensor:
     """Unit vector (B, 3, 1) in which it opens."""
     way = contacts.centre(points, drawer.name) - contacts.centre(points, drawer.cabinet)
     return squared(points[drawer.cabinet], level(way))
+
+
+def front(points: Points, drawer: Drawer) -> Tensor:
+    """Horizontal unit vector (B, 3, 1) in which it opens."""
+    return _front(points, drawer)
 
 
 @once
@@ -99,12 +109,13 @@ def opening(points: Points, drawer: Drawer) -> Tensor:
 
 
 @once
-def _point(points: Points, drawer: Drawer, behind: float) -> Tensor:
-    """Place (B, 3) at height 0, amid its width, ``behind`` its foremost point."""
+def _point(points: Points, drawer: Drawer, behind: float, aside: float = 0.0) -> Tensor:
+    """Place (B, 3) at height 0, ``behind`` its foremost point and ``aside`` of the middle of its width, to the left."""
     front, side = _front(points, drawer), _side(points, drawer)
     foremost = _extent(points, drawer.name, front)[1]
     left, right = _extent(points, drawer.name, side)
-    return (front * (foremost - behind)[..., None, None] + side * (0.5 * (left + right))[..., None, None]).squeeze(-1)
+    across_way = 0.5 * (left + right) + aside
+    return (front * (foremost - behind)[..., None, None] + side * across_way[..., None, None]).squeeze(-1)
 
 
 def handle(drawer: Drawer) -> Place:
@@ -116,7 +127,7 @@ def before_handle(drawer: Drawer, gap: float = 0.022) -> Place:
     """Place at the handle's height, ``gap`` metres before its bar: from where fingers push it."""
 
     def place(points: Points, info: Info) -> Tensor:
-        flat = _point(points, drawer, drawer.bar[0] - gap)
+        flat = _point(points, drawer, drawer.bar[0] - gap, drawer.aside)
         return torch.cat([flat[..., :2], points[drawer.name][..., 2:].amax(-2) - drawer.bar[1]], -1)
 
     return place
@@ -131,7 +142,7 @@ def spot(drawer: Drawer, name: str) -> Place:
     """Where an object's centre is when it stands in its place in the drawer."""
 
     def place(points: Points, info: Info) -> Tensor:
-        flat = _point(points, drawer, drawer.place)
+        flat = _point(points, drawer, drawer.place, drawer.place_aside)
         height = contacts.centre(points, name)[..., 2] - points[name][..., 2].amin(-1)
         floor = points[drawer.name][..., 2].amin(-1) + drawer.floor
         return torch.cat([flat[..., :2], (floor + height).unsqueeze(-1)], -1)

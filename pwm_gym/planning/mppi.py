@@ -46,6 +46,15 @@ class MPPIConfig(SamplingConfig):
         return cls(noise=fine, single_component_share=0.45, geometric_scales=True)
 
     @classmethod
+    def hands(cls) -> MPPIConfig:
+        """As :meth:`fine`, for several arms with hands: fingers bend together, and some samples move all arms alike."""
+        fine = cls.fine()
+        turns = replace(fine.noise.rotation, sigma=(0.1, 0.1, 0.2))
+        fingers = replace(fine.noise.finger, sigma=(0.5,), correlation=0.97, synergy=0.8)
+        noise = replace(fine.noise, rotation=turns, finger=fingers)
+        return replace(fine, noise=noise, single_arm_share=0.4, together_share=0.4)
+
+    @classmethod
     def paper(cls, horizon: int = 10) -> MPPIConfig:
         """The paper's table; sigma 5 on actions in [-1, 1] saturates most samples."""
         return cls(

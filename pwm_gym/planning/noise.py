@@ -33,12 +33,15 @@ class NoiseConfig:
     """The samples' noise is scaled from 1 down to this, so that some search wide and some refine."""
     bound: float = 1.0
     """Largest size of a component; at most 1."""
+    synergy: float = 0.0
+    """Correlation between the components of a channel: fingers of a hand that bend together, each a little its own
+    way."""
 
     def __post_init__(self) -> None:
         """Check each value."""
         if not self.sigma or not all(s >= 0.0 for s in self.sigma):
             raise PwmGymError(f"sigma={self.sigma}; expected values of at least 0")
-        for name in ("correlation", "min_noise_scale"):
+        for name in ("correlation", "min_noise_scale", "synergy"):
             if not 0.0 <= getattr(self, name) <= 1.0:
                 raise PwmGymError(f"{name}={getattr(self, name)}; expected 0 to 1")
         if not 0.0 < self.bound <= 1.0:
@@ -90,6 +93,7 @@ class ActionNoise:
             for name, values in spread.items():
                 values += [getattr(noise, name)] * (channel.stop - channel.start)
         return ComponentNoise(
+            synergies=tuple((channel.start, channel.stop, noise.synergy) for channel, noise in kinds if noise.synergy),
             sigma=tuple(s for channel, noise in kinds for s in noise.sigmas(channel)),
             **{name: tuple(values) for name, values in spread.items()},
         )
@@ -103,6 +107,40 @@ class ComponentNoise:
     correlation: tuple[float, ...]
     min_noise_scale: tuple[float, ...]
     bound: tuple[float, ...]
+    synergies: tuple[tuple[int, int, float], ...] = ()
+    """First component, the one behind the last, and correlation of components that move together."""
+
+    def mixing(self) -> Tensor | None:
+        """Symmetric matrix (A, A) that makes white noise (..., A) of components that move together; None if none do.
+
+        It is the square root of their correlations, so that each component's standard deviation stays 1.
+        """
+        if not self.synergies:
+            return None
+        matrix = torch.eye(len(self.sigma))
+        for start, stop, together in self.synergies:
+            count, own = stop - start, (1.0 - together) ** 0.5
+            common = ((1.0 + (count - 1) * together) ** 0.5 - own) / count
+            matrix[start:stop, start:stop] = own * torch.eye(count) + common
+        return matrix
+
+
+def counterparts(control: Control) -> list[int]:
+    """For each component of an action (A,) that of the first arm which means the same; its own where there is none."""
+    found = list(range(control.size))
+    if len(control.arms) < 2:
+        return found
+    first = {c.kind: c for c in control.of_arm(control.arm_names[0])}
+    for channel in control.channels:
+        same = first.get(channel.kind) if channel.arm else None
+        if same is not None and same.stop - same.start == channel.stop - channel.start:
+            found[channel.slice] = range(same.start, same.stop)
+    return found
+
+
+def share_mask(samples: int, share: float, step: int) -> Tensor:
+    """Bool (S,): a ``share`` of the samples, spread evenly; another ``step`` chooses others."""
+    return torch.arange(samples, dtype=torch.float64) * _GOLDEN * step % 1.0 < share
 
 
 def sample_mask(
@@ -134,7 +172,7 @@ def _single_mask(owner: list[int], count: int, samples: int, share: float, step:
     ``step`` chooses which samples those are: wide and fine ones have their share each.
     """
     place = torch.arange(samples, dtype=torch.float64) * _GOLDEN * step % 1.0
-    single = (place < share) & (count > 1)
+    single = share_mask(samples, share, step) & (count > 1)
     chosen = (place / max(share, 1e-9) * count).long().clamp(max=count - 1)  # (S,)
     owners = torch.tensor(owner)
     return ~single[:, None] | (owners == chosen[:, None]) | (owners < 0)

@@ -14,6 +14,7 @@ __all__ = ["PLANNERS", "build_planner", "get_planner_config"]
 PLANNERS: dict[str, SamplingConfig] = {
     "mppi": MPPIConfig(),
     "mppi-fine": MPPIConfig.fine(),
+    "mppi-hands": MPPIConfig.hands(),
     "mppi-paper": MPPIConfig.paper(),
     "cem": CEMConfig(),
     "icem": CEMConfig.icem(),

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from pwm_gym.errors import PwmGymError
-from pwm_gym.planning.noise import ActionNoise, sample_mask
+from pwm_gym.planning.noise import ActionNoise, counterparts, sample_mask, share_mask
 from pwm_gym.robots import Control
 
 __all__ = ["Objective", "Planner", "SamplingConfig", "SamplingPlanner"]
@@ -71,6 +71,8 @@ class SamplingConfig:
     samples."""
     single_arm_share: float = 0.5
     """Share of the samples that perturb one arm alone, each arm in turn, where a robot has several."""
+    together_share: float = 0.0
+    """Share of the samples in which all arms move as the first one does: what several hands hold goes with them."""
     single_component_share: float = 0.0
     """Share of the samples that perturb one component alone, each in turn: where a task asks for exact places, a good
     turn of the hand or a way straight down is lost among the bad motions that come with it."""
@@ -99,7 +101,7 @@ class SamplingConfig:
                 raise PwmGymError(f"{name}={getattr(self, name)}; expected at least 1")
         if self.stop_samples < 0:
             raise PwmGymError(f"stop_samples={self.stop_samples}; expected 0 or more")
-        for name in ("single_arm_share", "single_component_share"):
+        for name in ("single_arm_share", "together_share", "single_component_share"):
             if not 0.0 <= getattr(self, name) <= 1.0:
                 raise PwmGymError(f"{name}={getattr(self, name)}; expected 0 to 1")
         if not 1 <= self.elites <= self.samples:
@@ -132,6 +134,10 @@ class SamplingPlanner(ABC, Generic[Config]):
         self._correlation = tensor(noise.correlation)
         self._fresh = (1.0 - self._correlation.square()).sqrt()
         self._stop_samples = min(config.stop_samples, config.horizon, config.samples // 4)
+        mixing = noise.mixing()
+        self._mixing = None if mixing is None else mixing.to(device)
+        self._together = share_mask(config.samples, config.together_share, step=3).to(device)
+        self._counterparts = torch.tensor(counterparts(control), device=device)
         self._scale = self._noise_scale(control, tensor(noise.min_noise_scale))
         # What standing still means: absolute targets and hands stay as they are, all else returns to its rest value.
         absolute = [c.rest is None for c in control.channels for _ in range(c.start, c.stop)]
@@ -153,7 +159,8 @@ class SamplingPlanner(ABC, Generic[Config]):
             place = torch.linspace(0.0, 1.0, samples, device=least.device).unsqueeze(-1)
             scale = 1.0 - place * (1.0 - least)
         shares = self.config.single_arm_share, self.config.single_component_share
-        moves = sample_mask(control, self._sigma.tolist(), samples, *shares)
+        moves = sample_mask(control, self._sigma.tolist(), samples, *shares).to(self._together.device)
+        moves = moves | self._together.unsqueeze(1)  # they move all arms, whatever the shares say
         return (scale * moves.to(scale)).unsqueeze(1)
 
     @property
@@ -247,4 +254,8 @@ class SamplingPlanner(ABC, Generic[Config]):
         )
         for h in range(1, c.horizon):
             noise[:, :, h] = self._correlation * noise[:, :, h - 1] + self._fresh * noise[:, :, h]
+        if self._mixing is not None:
+            noise = noise @ self._mixing
+        if self.config.together_share:
+            noise[:, self._together] = noise[:, self._together][..., self._counterparts]
         return noise

@@ -24,6 +24,8 @@ class SimOutcome:
     """The simulator's own shaped reward."""
     success: bool
     grasped: bool
+    holding: tuple[str, ...] = ()
+    """Arms that stayed where they were, because what the action asked for is out of their reach."""
 
 
 @runtime_checkable

@@ -4,6 +4,7 @@ from pwm_gym.skills.brew import Brew
 from pwm_gym.skills.carry import Carry
 from pwm_gym.skills.clean_up import CleanUp
 from pwm_gym.skills.cube_oracle import CubeOracle
+from pwm_gym.skills.fill_drawer import FillDrawer
 from pwm_gym.skills.grasp import TopGrasp
 from pwm_gym.skills.hand_reach import HandReach
 from pwm_gym.skills.motion import downward_turn, drive, servo, side_yaw, tool_pose, yaw_error
@@ -14,6 +15,7 @@ from pwm_gym.skills.pinch import Pinch
 from pwm_gym.skills.place import Place
 from pwm_gym.skills.prepare import Prepare
 from pwm_gym.skills.push import Push
+from pwm_gym.skills.put_lid import PutLid
 from pwm_gym.skills.table_push import TablePush
 from pwm_gym.skills.table_tap import TableTap
 
@@ -22,6 +24,7 @@ __all__ = [
     "Carry",
     "CleanUp",
     "CubeOracle",
+    "FillDrawer",
     "Grasp",
     "HandReach",
     "ObjectGrasps",
@@ -31,6 +34,7 @@ __all__ = [
     "Place",
     "Prepare",
     "Push",
+    "PutLid",
     "TablePush",
     "TableTap",
     "TopGrasp",

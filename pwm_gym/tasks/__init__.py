@@ -17,6 +17,9 @@ from pwm_gym.tasks import adroit_door, adroit_relocate
 
 # isort: split
 from pwm_gym.tasks import ogbench_cube
+
+# isort: split
+from pwm_gym.tasks import two_arm_box_cleanup, two_arm_drawer_cleanup
 from pwm_gym.tasks.registry import TASKS, Expert, Task, get_task, register_task
 
 __all__ = [
@@ -38,4 +41,6 @@ __all__ = [
     "pick_ycb",
     "register_task",
     "stack_cube",
+    "two_arm_box_cleanup",
+    "two_arm_drawer_cleanup",
 ]

@@ -247,8 +247,8 @@ def test_observation_is_the_entities_points(each):
     assert base.entities[-1].stop == len(observation["points"])
     assert {e.name for e in base.entities} >= {*base.task.robot.links}
     for e in base.entities:
-        centre = base.state.entity(e.name)[0].mean(0).numpy()
-        np.testing.assert_allclose(observation["points"][e.slice].mean(0), centre, atol=1e-6)
+        centre = base.state.entity(e.name)[0].double().mean(0).numpy()
+        np.testing.assert_allclose(observation["points"][e.slice].mean(0, dtype=np.float64), centre, atol=1e-6)
 
 
 def test_velocities_are_the_points_differences(each):

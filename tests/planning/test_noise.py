@@ -1,5 +1,6 @@
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 import tyro
@@ -13,7 +14,7 @@ from pwm_gym.planning import (
     NoiseConfig,
     build_planner,
 )
-from pwm_gym.planning.noise import power_law_noise
+from pwm_gym.planning.noise import counterparts, power_law_noise
 from pwm_gym.robots import Arm, Channel, Control
 from pwm_gym.tasks import get_task
 
@@ -209,3 +210,34 @@ def test_the_command_line_reaches_every_setting():
     assert config.noise.gripper == NoiseConfig((0.9,), 0.97, 1.0)
     assert config.noise.rotation.sigma == (0.1, 0.1, 0.3) and config.stop_samples == 0
     assert config.noise.translation == MPPIConfig().noise.translation
+
+
+def test_fingers_of_a_hand_move_together_each_a_little_its_own_way():
+    noise = ActionNoise(finger=NoiseConfig(sigma=(0.3,), correlation=0.0, min_noise_scale=1.0, synergy=0.8))
+    config = MPPIConfig(samples=4000, horizon=1, stop_samples=0, single_arm_share=0.0, noise=noise)
+    *samples, mean = seen_by(config, BOTH, last_action=torch.zeros(1, 24))
+    moves = (torch.stack(samples) - mean)[:, 0]
+    found = torch.cov(moves.T).numpy() / 0.3**2
+    fingers = [k for k, kind in enumerate(BOTH.kinds) if kind == "finger"]
+    left, right = fingers[: len(fingers) // 2], fingers[len(fingers) // 2 :]
+    pairs = [(i, k) for hand in (left, right) for i in hand for k in hand if i < k]
+    assert np.mean([found[pair] for pair in pairs]) == pytest.approx(0.8, abs=0.03)
+    assert np.abs(found[np.ix_(left, right)]).max() < 0.1 and abs(found[0, 1]) < 0.1
+    assert moves[:, fingers].std() == pytest.approx(0.3, rel=0.05)  # as wide as without a synergy
+    with pytest.raises(PwmGymError, match="synergy=1.5; expected 0 to 1"):
+        NoiseConfig(synergy=1.5)
+
+
+def test_some_samples_move_all_arms_alike():
+    noise = ActionNoise.uniform(NoiseConfig(sigma=(0.3,), correlation=0.0, min_noise_scale=1.0))
+    config = MPPIConfig(samples=200, stop_samples=0, noise=noise, single_arm_share=0.5, together_share=0.3)
+    *samples, mean = seen_by(config, BOTH, last_action=torch.zeros(1, 24))
+    moves = torch.stack(samples) - mean
+    alike = (moves[..., :12] - moves[..., 12:]).abs().amax((-1, -2)) < 1e-6
+    assert alike.float().mean() == pytest.approx(0.3, abs=0.02)
+    assert (moves[alike].abs().amax(1) > 0).all()  # no arm and no component is left out
+
+
+def test_a_robot_of_one_arm_has_no_counterparts():
+    assert counterparts(SCARA) == list(range(SCARA.size))
+    assert counterparts(BOTH)[12:] == list(range(12))

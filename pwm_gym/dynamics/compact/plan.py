@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from pwm_gym.errors import SceneError
 from pwm_gym.robots.joints import JointTree
 from pwm_gym.scene import Layout
-from pwm_gym.scene.joint import JOINT_KINDS
+from pwm_gym.scene.joint import JOINT_KINDS, Joint
 from pwm_gym.scene.se3 import inverse, matrix_from_pose7
 
 __all__ = ["Places", "Plan"]
@@ -168,3 +168,12 @@ def _check_robot(layout: Layout, links: Layout) -> None:
         if found[e.name].kind != e.joint.kind or found[e.name].parent != e.joint.parent:
             told = f"{found[e.name].kind} on {found[e.name].parent}"
             raise SceneError(f"the joint of {e.name!r} is {told}; the model's is {e.joint.kind} on {e.joint.parent}")
+        if found[e.name].mimic != e.joint.mimic:
+            rules = " and ".join(_rule(joint) for joint in (found[e.name], e.joint))
+            raise SceneError(f"the joint of {e.name!r} follows another rule than the model's: {rules}")
+
+
+def _rule(joint: Joint) -> str:
+    """What a joint follows, in words."""
+    mimic = joint.mimic
+    return "none" if mimic is None else f"{mimic.multiplier:g} * {mimic.entity} + {mimic.offset:g}"

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import Any, Protocol
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import trimesh
 
-from pwm_gym.errors import PwmGymError, SceneError, unknown_name
+from pwm_gym.errors import PwmGymError, SceneError, look_up, unknown_name
 from pwm_gym.robots.control import Control
 from pwm_gym.scene import Scene
 from pwm_gym.scene.poses import compose, relative, rotation
@@ -20,7 +20,7 @@ from pwm_gym.sim.maniskill.props import SceneProps
 from pwm_gym.sim.props import Prop, get_prop
 from pwm_gym.sim.protocol import SimOutcome
 
-__all__ = ["AssetChoice", "ManiSkillSimulator"]
+__all__ = ["AssetChoice", "HoldsArms", "ManiSkillSimulator"]
 
 _NO_TIME_LIMIT = 1_000_000  # the package's environments own their limits
 _GRASP_KEY = "is_grasped"  # what most of ManiSkill's tasks call it in their info
@@ -41,6 +41,14 @@ class AssetChoice(Protocol):
         """Entity -> asset in the present scene; entities whose asset is always the same may be left out."""
 
 
+@runtime_checkable
+class HoldsArms(Protocol):
+    """A controller that leaves an arm where it is when its target is out of reach."""
+
+    holding: tuple[str, ...]
+    """Names of those that it left in the last step."""
+
+
 class ManiSkillSimulator:
     """A ManiSkill task on the CPU, one environment, physics only.
 
@@ -56,10 +64,11 @@ class ManiSkillSimulator:
         grasped: what ``SimOutcome.grasped`` is told by: a key of ManiSkill's info, or an entity, which the robot's own
             ``is_grasping`` is asked about. None: ``info["is_grasped"]`` where the task has it, otherwise False.
         assets: how the task chooses assets, where its objects differ between episodes.
+        joint_names: the robot's joints in the order of scenes' joint vectors; SAPIEN's own where it is None.
 
     Raises:
         PwmGymError: ``control`` is of another size or period than ManiSkill's controller.
-        UnknownNameError: a link or an actor that the task lacks.
+        UnknownNameError: a link, a joint or an actor that the task lacks.
     """
 
     def __init__(
@@ -72,6 +81,7 @@ class ManiSkillSimulator:
         robot_uids: str | None = None,
         grasped: str | None = None,
         assets: AssetChoice | None = None,
+        joint_names: Sequence[str] | None = None,
     ) -> None:
         self.env = _make(task, control_mode, robot_uids)
         self._base: Any = self.env.unwrapped
@@ -80,6 +90,7 @@ class ManiSkillSimulator:
         self._goal_name = goal
         self._grasp_name = grasped
         self._asset_choice = assets
+        self._joint_names = joint_names
         self._props = SceneProps(self._base)
         self.action_size = int(np.prod(self.env.action_space.shape))
         if control is not None:
@@ -99,6 +110,7 @@ class ManiSkillSimulator:
     def _bind(self) -> None:
         """Find robot, entities and goal in the scene as it has just been built."""
         self._robot = self._base.agent.robot
+        self._joint_order = self._find_joints()
         links = {link.name: link for link in self._robot.get_links()}
         actors = self._base.scene.actors
         known = {**actors, **articulated_links(self._base.scene, self._robot), **links}
@@ -112,6 +124,12 @@ class ManiSkillSimulator:
             if getattr(struct, "articulation", self._robot) is not self._robot
         }
         self._goal = None if self._goal_name is None else self._find(self._goal_name, actors)._objs[0]
+
+    def _find_joints(self) -> list[int]:
+        """SAPIEN's place of each component of a joint vector."""
+        known = {joint.name: k for k, joint in enumerate(self._robot.get_active_joints())}
+        names = known if self._joint_names is None else self._joint_names
+        return [look_up(f"joint of {self._task}", name, known) for name in names]
 
     def _find(self, body: str | Callable[[Any], Any], known: Mapping[str, Any]) -> Any:
         if not isinstance(body, str):
@@ -199,9 +217,11 @@ class ManiSkillSimulator:
         """Joint positions and velocities a step (2, J); the motors hold them until an action says otherwise."""
         import torch
 
-        positions = torch.as_tensor(joints[:1], dtype=torch.float32)
+        sorted_joints = np.empty_like(joints)
+        sorted_joints[:, self._joint_order] = joints
+        positions = torch.as_tensor(sorted_joints[:1], dtype=torch.float32)
         self._robot.set_qpos(positions)
-        self._robot.set_qvel(torch.as_tensor(joints[1:] * self._base.control_freq, dtype=torch.float32))
+        self._robot.set_qvel(torch.as_tensor(sorted_joints[1:] * self._base.control_freq, dtype=torch.float32))
         self._robot.set_joint_drive_targets(positions, self._robot.active_joints)
 
     def _set_articulations(self, scene: Scene) -> None:
@@ -266,7 +286,9 @@ class ManiSkillSimulator:
         return self._outcome(self._base.compute_normalized_dense_reward(obs=None, action=action, info=info), info)
 
     def _outcome(self, reward: Any, info: Mapping[str, Any]) -> SimOutcome:
-        return SimOutcome(float(reward), bool(info.get("success", False)), self._grasped(info))
+        controller = self._base.agent.controller
+        holding = controller.holding if isinstance(controller, HoldsArms) else ()
+        return SimOutcome(float(reward), bool(info.get("success", False)), self._grasped(info), holding)
 
     def _grasped(self, info: Mapping[str, Any]) -> bool:
         name = self._grasp_name
@@ -279,8 +301,15 @@ class ManiSkillSimulator:
         return bool(info[name])
 
     def poses(self) -> np.ndarray:
-        """Entity poses (E, 7) in the base's frame."""
+        """Entity poses (E, 7) in the base's frame.
+
+        Raises:
+            SceneError: the simulation has broken down, and tells a pose that is not finite.
+        """
         world = np.stack([pose7(entity.pose) for entity in self._entities.values()])
+        if not np.isfinite(world).all():
+            lost = next(name for name, pose in zip(self._entities, world, strict=True) if not np.isfinite(pose).all())
+            raise SceneError(f"{self._task}: the simulator's pose of {lost!r} is not finite; reset() starts anew")
         return relative(self._world, world)
 
     def goal(self) -> np.ndarray:
@@ -293,7 +322,8 @@ class ManiSkillSimulator:
     def joints(self) -> np.ndarray:
         """Joint positions and velocities (2, J) float32: radians (fingers: metres), and these a control step."""
         speeds = self._robot.get_qvel()[0].numpy() / self._base.control_freq
-        return np.stack([self._robot.get_qpos()[0].numpy(), speeds]).astype(np.float32)
+        joints = np.stack([self._robot.get_qpos()[0].numpy(), speeds])
+        return joints[:, self._joint_order].astype(np.float32)
 
     def close(self) -> None:
         """Free the simulator; calling it twice is harmless."""
@@ -306,6 +336,8 @@ def _make(task: str, control_mode: str, robot_uids: str | None) -> Any:
     allow_headless()
     import gymnasium as gym
     import mani_skill.envs  # noqa: F401  (registers the tasks)
+
+    import pwm_gym.sim.maniskill.scenes  # noqa: F401  (registers our own)
 
     allow_headless()  # once more, for the modules that the import has loaded
     robot: dict[str, Any] = {} if robot_uids is None else {"robot_uids": robot_uids}

@@ -13,5 +13,14 @@ allow_headless()  # before ManiSkill's modules hold the classes that it may have
 from pwm_gym.sim.maniskill.scenes.coffee import CoffeeEnv  # noqa: E402
 from pwm_gym.sim.maniskill.scenes.coffee_preparation import CoffeePreparationEnv  # noqa: E402
 from pwm_gym.sim.maniskill.scenes.mug_cleanup import MugChoice, MugCleanupEnv  # noqa: E402
+from pwm_gym.sim.maniskill.scenes.two_arm_box_cleanup import TwoArmBoxCleanupEnv  # noqa: E402
+from pwm_gym.sim.maniskill.scenes.two_arm_drawer_cleanup import TwoArmDrawerCleanupEnv  # noqa: E402
 
-__all__ = ["CoffeeEnv", "CoffeePreparationEnv", "MugChoice", "MugCleanupEnv"]
+__all__ = [
+    "CoffeeEnv",
+    "CoffeePreparationEnv",
+    "MugChoice",
+    "MugCleanupEnv",
+    "TwoArmBoxCleanupEnv",
+    "TwoArmDrawerCleanupEnv",
+]

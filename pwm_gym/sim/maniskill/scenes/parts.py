@@ -11,13 +11,21 @@ import torch
 from mani_skill.utils.structs import Actor, Pose
 
 from pwm_gym.scene.joint import Joint
-from pwm_gym.sim.cabinet import CABINET, CABINET_HALF, DRAWER, DRAWER_JOINT
+from pwm_gym.sim import cabinet
 from pwm_gym.sim.coffee_machine import LID, LID_JOINT, MACHINE, POD, POD_HEIGHT
 from pwm_gym.sim.maniskill.build import add_shapes
 from pwm_gym.sim.maniskill.scenes.common import about_z
 from pwm_gym.sim.mugs import MUGS
 
-__all__ = ["build_cabinet", "build_machine", "build_mugs", "build_pod", "put_articulation", "random_places"]
+__all__ = [
+    "build_cabinet",
+    "build_machine",
+    "build_mugs",
+    "build_pod",
+    "near_places",
+    "put_articulation",
+    "random_places",
+]
 
 _DRAWER_FRICTION, _DRAWER_DAMPING = 1.0, 20.0  # it stays where it is left
 _POD_FRICTION, _MACHINE_FRICTION, _LID_DAMPING = 0.5, 0.3, 0.004
@@ -25,19 +33,27 @@ _WOOD, _RED = (0.55, 0.40, 0.26, 1.0), (0.75, 0.15, 0.12, 1.0)
 _GREY, _WHITE, _BROWN = (0.3, 0.3, 0.32, 1.0), (0.85, 0.85, 0.85, 1.0), (0.35, 0.2, 0.1, 1.0)
 
 
-def build_cabinet(scene: Any, place: tuple[float, float]) -> Any:
-    """Articulation ``cabinet`` with its ``drawer``, which faces the robot at a place in the plane."""
+def build_cabinet(scene: Any, place: tuple[float, float], model: Any = cabinet) -> Any:
+    """Articulation ``cabinet`` with its ``drawer``, which faces the robot at a place in the plane.
+
+    Args:
+        scene: to build it in.
+        place: of its middle.
+        model: module with its boxes and its joint.
+    """
     builder = scene.create_articulation_builder()
-    cabinet = builder.create_link_builder()
-    cabinet.set_name("cabinet")
-    add_shapes(cabinet, CABINET, _WOOD)
-    drawer = builder.create_link_builder(cabinet)
+    body = builder.create_link_builder()
+    body.set_name("cabinet")
+    add_shapes(body, model.CABINET, _WOOD)
+    drawer = builder.create_link_builder(body)
     drawer.set_name("drawer")
     drawer.set_joint_name("slide")
-    origin = sapien.Pose(DRAWER_JOINT.origin[:3])  # SAPIEN's joints slide along x, as this one does
-    drawer.set_joint_properties("prismatic", _limits(DRAWER_JOINT), origin, sapien.Pose(), damping=_DRAWER_DAMPING)
-    add_shapes(drawer, DRAWER, _WOOD, density=400.0)
-    builder.initial_pose = sapien.Pose([*place, CABINET_HALF[2]], [0.0, 0.0, 0.0, 1.0])
+    origin = sapien.Pose(model.DRAWER_JOINT.origin[:3])  # SAPIEN's joints slide along x, as this one does
+    drawer.set_joint_properties(
+        "prismatic", _limits(model.DRAWER_JOINT), origin, sapien.Pose(), damping=_DRAWER_DAMPING
+    )
+    add_shapes(drawer, model.DRAWER, _WOOD, density=400.0)
+    builder.initial_pose = sapien.Pose([*place, model.CABINET_HALF[2]], [0.0, 0.0, 0.0, 1.0])
     built = builder.build(name="cabinet", fix_root_link=True)
     built.active_joints[0].set_friction(_DRAWER_FRICTION)
     return built
@@ -117,6 +133,14 @@ def random_places(low: tuple[float, float], high: tuple[float, float], heights: 
     flat = corner + torch.rand((count, 2)) * (torch.tensor(high) - corner)
     places = torch.cat([flat, heights.unsqueeze(-1)], -1)
     return Pose.create_from_pq(places, about_z(2 * np.pi * torch.rand(count)))
+
+
+def near_places(place: tuple[float, float, float], spread: tuple[float, float, float], count: int) -> Any:
+    """Poses near a place (3,), by ``spread`` (x, y and yaw) to either side."""
+    offset = (2 * torch.rand((count, 3)) - 1) * torch.tensor(spread)
+    places = torch.tensor(place).repeat(count, 1)
+    places[:, :2] += offset[:, :2]
+    return Pose.create_from_pq(places, about_z(offset[:, 2]))
 
 
 def _limits(joint: Joint) -> list[list[float]]:

@@ -1,0 +1,318 @@
+"""Shared terms and stages for two hands and a drawer: one opens and shuts it, the other brings an object. Metres.
+
+The object is held between the straight fingers of a hand and its thumb, which swings opposite to them.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from pwm_gym.costs import contacts, drawers, hands
+from pwm_gym.costs.contacts import Points, along, once
+from pwm_gym.costs.drawers import Drawer
+from pwm_gym.costs.motion import speed
+from pwm_gym.costs.stages import Stage
+from pwm_gym.costs.terms import Info, Place, Term, nearness, way_from_above
+from pwm_gym.robots.two_hands import FACE, SIGN, TWO_HANDS
+from pwm_gym.sim.deep_cabinet import (
+    DRAWER_FROM,
+    DRAWER_TO,
+    FRONT,
+    HANDLE,
+    HANDLE_WIDTH,
+    PLACE,
+    STROKE,
+    TRAY,
+    TRAY_FLOOR,
+)
+
+__all__ = ["DEEP_DRAWER", "beside", "facing", "held", "holds", "reach", "reach_handle", "sequence"]
+
+DEEP_DRAWER = Drawer(
+    way=STROKE,
+    ahead=0.5 * (DRAWER_FROM[0] + DRAWER_TO[0]),
+    bar=(DRAWER_TO[0] - HANDLE[0], DRAWER_TO[2] - HANDLE[2]),
+    tray=(DRAWER_TO[0] - TRAY[1][0], DRAWER_TO[0] - TRAY[0][0], TRAY[1][1]),
+    floor=TRAY_FLOOR - DRAWER_FROM[2],
+    place=DRAWER_TO[0] - PLACE[0],
+    aside=HANDLE[1],
+    place_aside=PLACE[1],
+)
+"""Of :mod:`pwm_gym.sim.deep_cabinet`."""
+
+_FINGERS, _THUMB = (-0.012, 0.007), (-0.012, 0.005)  # gaps to an object that is held
+_AMID = (0.035, 0.06)  # along the knuckles, and in height, of a hand that is about an object
+_GAP_MIDDLE = HANDLE[0] - 0.5 * (FRONT + HANDLE[0] - 0.5 * HANDLE_WIDTH)  # behind the bar, where a hand hangs
+_BAR_OVER = 0.006  # of the tool over the bar there
+_HUNG = (0.022, 0.030, 0.035)  # along the way, across it, in height: the hand is behind the bar
+_OPENED_FURTHER = 0.01
+_CLEARANCE, _GRIP_HEIGHT = 0.08, 0.018
+_ABOUT = (0.012, 0.02)  # beside and over its place, of a hand that may close
+_SWUNG = 0.076  # from the fingers' face to the thumb opposite to it
+_LIFTED, _CARRIED = 0.06, 0.10  # of an object's lowest point over the ground, and over the tray's floor
+_OVER_PLACE = 0.015
+_LEFT = 0.10  # of the tool over the middle of an object that it has left
+_UNIT = 0.03
+
+
+@once
+def _along_normal(points: Points, side: str, name: str) -> tuple[Tensor, Tensor]:
+    """Gaps (B,) between an object and a hand's fingers, and its thumb, along the way out of the palm."""
+    normal = hands.normal(points, side).unsqueeze(-1)
+    places = along(points[name], normal)
+    fingers = along(hands.tool(points, side).unsqueeze(-2), normal).squeeze(-1) + FACE
+    thumb = along(points[f"{side}_thumb_2"], normal).amin(-1)
+    return places.amin(-1) - fingers, thumb - places.amax(-1)
+
+
+def holds(side: str, name: str) -> Term:
+    """Bool (B,): fingers and thumb of a hand touch an object between them."""
+
+    def term(points: Points, info: Info) -> Tensor:
+        fingers, thumb = _along_normal(points, side, name)
+        touching = (fingers >= _FINGERS[0]) & (fingers <= _FINGERS[1]) & (thumb >= _THUMB[0]) & (thumb <= _THUMB[1])
+        offset = contacts.centre(points, name) - hands.tool(points, side)
+        aside = (offset * hands.across(points, side)).sum(-1).abs()
+        return touching & (aside <= _AMID[0]) & (offset[..., 2].abs() <= _AMID[1])
+
+    return term
+
+
+def held(name: str) -> Term:
+    """Bool (B,): one of both hands holds an object."""
+    left, right = holds("left", name), holds("right", name)
+    return lambda points, info: left(points, info) | right(points, info)
+
+
+def reach(side: str, name: str) -> Term:
+    """Nearness of one hand's tool to an object."""
+    return nearness(hands.tool_place(side), lambda points, info: contacts.centre(points, name))
+
+
+def reach_handle(side: str, drawer: Drawer) -> Term:
+    """Nearness of one hand's tool to the middle of the handle's bar."""
+    return nearness(hands.tool_place(side), drawers.handle(drawer))
+
+
+def facing(side: str, drawer: Drawer, quarter: bool = False) -> Term:
+    """How far (B,) a palm is turned from the way in which a drawer opens, or from across it: 0 to 1."""
+
+    def term(points: Points, info: Info) -> Tensor:
+        way = drawers.front(points, drawer)
+        wanted = SIGN[side] * contacts.across(way) if quarter else way
+        return 0.5 * (1.0 - (hands.normal(points, side) * wanted.squeeze(-1)).sum(-1))
+
+    return term
+
+
+def beside(side: str, drawer: Drawer) -> Place:
+    """Way (B, 3) from one hand's tool to where it hangs behind the handle's bar: along the drawer's way, across, up."""
+    hang = drawers.behind_handle(drawer, _GAP_MIDDLE)
+
+    def place(points: Points, info: Info) -> Tensor:
+        offset = hang(points, info) - hands.tool(points, side)
+        front = drawers.front(points, drawer)
+        parts = [(offset * axis.squeeze(-1)).sum(-1) for axis in (front, contacts.across(front))]
+        return torch.stack([*parts, offset[..., 2] + _BAR_OVER], -1)
+
+    return place
+
+
+# The planners' stages ---------------------------------------------------------------------------------------------
+
+
+def sequence(drawer: Drawer, name: str, inside: Term, opened: float, shut: float, limit: float) -> list[Stage]:
+    """The left hand opens the drawer, the right one puts an object into it, the left one shuts it, both rest.
+
+    Args:
+        drawer: the drawer.
+        name: the object.
+        inside: rule that it is in the drawer.
+        opened: way from which the drawer counts as open.
+        shut: way up to which it counts as shut.
+        limit: rad/s of arms that rest.
+    """
+    is_held, is_shut = holds("right", name), drawers.shut_to(drawer, shut)
+    still_open = drawers.open_to(drawer, opened)
+    hang: dict[str, tuple[float, Term]] = {"hang": (3.0, _off(beside("left", drawer)))}
+    turned = {"left_turn": (3.0, facing("left", drawer)), "right_turn": (3.0, facing("right", drawer, quarter=True))}
+    gripping = {**turned, **hang, "closed": (3.0, _open_hand(name)), "off_grip": (4.0, _off_grip(name))}
+    swung = {"thumb": (2.0, _thumb_aside(name))}
+    disturbed = {"disturbance": (2.0, lambda p, i: (speed(i["velocity"], name) / 0.005).clamp_max(4.0))}
+    return [
+        Stage("hook", {**turned, **disturbed, "approach": (1.5, _from_above(beside("left", drawer)))}, _hangs(drawer)),
+        Stage(
+            "open drawer",
+            {**turned, "hang": (3.0, _level(beside("left", drawer))), "opened": (-8.0, drawers.opened(drawer))},
+            drawers.open_to(drawer, opened + _OPENED_FURTHER),
+        ),
+        Stage(
+            "reach",
+            {**turned, **hang, **swung, **disturbed, "approach": (1.5, _from_above(_way_to_grip(name)))},
+            lambda p, i: _about(p, i, name) | is_held(p, i),
+        ),
+        Stage(
+            "take",
+            {**gripping, "lift": (-5.0, _lift(name))},
+            lambda p, i: is_held(p, i) & (p[name][..., 2].amin(-1) >= _LIFTED),
+        ),
+        Stage(
+            "carry",
+            {**gripping, "way": (4.0, _way_over(drawer, name))},
+            lambda p, i: is_held(p, i) & still_open(p, i) & (_beside_place(p, i, drawer, name) <= _OVER_PLACE),
+        ),
+        Stage("lower", {**gripping, "way": (4.0, _way_down(drawer, name))}, inside),
+        Stage(
+            "let go",
+            {**hang, **disturbed, "thumb": (4.0, hands.bent_thumb("right")), "low": (10.0, _too_low(name))},
+            lambda p, i: ~is_held(p, i) & (_too_low(name)(p, i) <= 0.0),
+            lasting=inside,
+        ),
+        Stage(
+            "close drawer",
+            {**turned, "hang": (3.0, _level(beside("left", drawer))), "opened": (8.0, drawers.opened(drawer))},
+            is_shut,
+            lasting=is_shut,
+        ),
+        Stage("rest", {"speed": (2.0, hands.arm_speed)}, hands.static(limit)),
+    ]
+
+
+def _off(way: Place) -> Term:
+    """Length (B,) of a way, sharper when near."""
+
+    def term(points: Points, info: Info) -> Tensor:
+        distance = way(points, info).norm(dim=-1)
+        return 3.0 * distance + torch.tanh(distance / _UNIT)
+
+    return term
+
+
+def _level(way: Place) -> Term:
+    """The same without what is along the drawer's way, in which the hand pulls and pushes."""
+    return _off(lambda points, info: way(points, info)[..., 1:])
+
+
+def _from_above(way: Place) -> Term:
+    """Length (B,) of a way that comes from above, sharper when near."""
+
+    def term(points: Points, info: Info) -> Tensor:
+        distance = way_from_above(-way(points, info), _CLEARANCE, within=0.02)
+        return 5.0 * distance + torch.tanh(distance / _UNIT)
+
+    return term
+
+
+def _hangs(drawer: Drawer) -> Term:
+    """Bool (B,): the left hand is behind the bar."""
+    way = beside("left", drawer)
+
+    def term(points: Points, info: Info) -> Tensor:
+        offset = way(points, info).abs()
+        return (offset <= offset.new_tensor(_HUNG)).all(-1) & (facing("left", drawer)(points, info) <= 0.02)
+
+    return term
+
+
+def _way_to_grip(name: str) -> Place:
+    """Way (B, 3) of the right tool to where it closes about an object."""
+
+    def place(points: Points, info: Info) -> Tensor:
+        normal = hands.normal(points, "right")
+        offset = contacts.centre(points, name) - hands.tool(points, "right")
+        amid = offset - (FACE + 0.5 * _SWUNG) * normal
+        return torch.cat([amid[..., :2], offset[..., 2:] + _GRIP_HEIGHT], -1)
+
+    return place
+
+
+def _about(points: Points, info: Info, name: str) -> Tensor:
+    """Bool (B,): the right hand may close about an object."""
+    way = _way_to_grip(name)(points, info)
+    fingers, thumb = _along_normal(points, "right", name)
+    amid = (way[..., :2].norm(dim=-1) <= _ABOUT[0]) & (way[..., 2].abs() <= _ABOUT[1])
+    return amid & (fingers >= -0.002) & (thumb >= -0.002)
+
+
+def _open_hand(name: str) -> Term:
+    """Gaps (B,) of the right hand to an object, in units of 3 cm."""
+
+    def term(points: Points, info: Info) -> Tensor:
+        gaps = torch.stack(_along_normal(points, "right", name))
+        return (gaps.clamp_min(0.0) / _UNIT).clamp_max(5.0).sum(0)
+
+    return term
+
+
+def _off_grip(name: str) -> Term:
+    """How far (B,) the right hand is beside and over where it holds an object, in units of 3 cm."""
+
+    def term(points: Points, info: Info) -> Tensor:
+        offset = contacts.centre(points, name) - hands.tool(points, "right")
+        aside = (offset * hands.across(points, "right")).sum(-1)
+        return torch.stack([aside, offset[..., 2] + _GRIP_HEIGHT], -1).norm(dim=-1) / _UNIT
+
+    return term
+
+
+def _thumb_aside(name: str) -> Term:
+    """How far (B,) the right thumb is told to be from opposite to the fingers, and from straight."""
+    channel = TWO_HANDS.control.channel("right", "finger")
+    assert channel is not None
+    swing, flex = channel.start, channel.start + 1
+
+    def term(points: Points, info: Info) -> Tensor:
+        action = info["action"]
+        return (action[..., swing] - hands.OPPOSITE).abs() + 0.5 * (action[..., flex] + 1.0)
+
+    return term
+
+
+@once
+def _firmness(points: Points, name: str) -> Tensor:
+    """Soft bool (B,): fingers and thumb of the right hand touch an object."""
+    gaps = torch.stack(_along_normal(points, "right", name), -1)
+    return (torch.sigmoid((0.004 - gaps) / 0.001) * torch.sigmoid((gaps + 0.012) / 0.001)).prod(-1)
+
+
+def _lift(name: str) -> Term:
+    """How high the held object is, as a share of 6 cm: up to 1."""
+    return lambda points, info: _firmness(points, name) * (points[name][..., 2].amin(-1) / _LIFTED).clamp(0.0, 1.0)
+
+
+def _to_place(points: Points, info: Info, drawer: Drawer, name: str) -> Tensor:
+    """Way (B, 3) of an object to its place in the drawer."""
+    return drawers.spot(drawer, name)(points, info) - contacts.centre(points, name)
+
+
+def _beside_place(points: Points, info: Info, drawer: Drawer, name: str) -> Tensor:
+    """How far (B,) an object is beside its place."""
+    return _to_place(points, info, drawer, name)[..., :2].norm(dim=-1)
+
+
+def _way_over(drawer: Drawer, name: str) -> Term:
+    """Way (B,) of an object to over its place."""
+
+    def term(points: Points, info: Info) -> Tensor:
+        way = _to_place(points, info, drawer, name)
+        lower = (_CARRIED + way[..., 2]).clamp_min(0.0)
+        distance = way[..., :2].norm(dim=-1) + 2.0 * lower
+        return 3.0 * distance + torch.tanh(distance / _UNIT)
+
+    return term
+
+
+def _way_down(drawer: Drawer, name: str) -> Term:
+    """Way (B,) of an object to its place, sharper when near."""
+    return _off(lambda points, info: _to_place(points, info, drawer, name))
+
+
+def _too_low(name: str) -> Term:
+    """By how much (B,) the right tool is lower than 10 cm over the middle of an object that it has left."""
+
+    def term(points: Points, info: Info) -> Tensor:
+        height = hands.tool(points, "right")[..., 2] - contacts.centre(points, name)[..., 2]
+        return (_LEFT - height).clamp_min(0.0)
+
+    return term
