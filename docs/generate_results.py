@@ -37,6 +37,9 @@ _TASKS = {
     "FetchPush": "evaluate_fetch_push",
     "FetchPickAndPlace": "evaluate_fetch_pick_and_place",
     "FetchSlide": "evaluate_fetch_slide",
+    "OGBenchCubeSingle": "evaluate_ogbench_cube_single",
+    "TwoArmBoxCleanup": "evaluate_two_arm_box_cleanup",
+    "TwoArmDrawerCleanup": "evaluate_two_arm_drawer_cleanup",
 }
 _PAPER = {
     "PickCube": "0.009 m and 0.86",
@@ -50,6 +53,9 @@ _PAPER = {
     "FetchPush": "none",
     "FetchPickAndPlace": "none",
     "FetchSlide": "none",
+    "OGBenchCubeSingle": "none",
+    "TwoArmBoxCleanup": "0.022 m and 0.83",
+    "TwoArmDrawerCleanup": "0.058 m and 0.77",
 }
 _PLANNED = {
     "PickCube": "plan_pick_cube",
@@ -64,6 +70,7 @@ _PLANNED = {
     "FetchPush": "plan_fetch_push",
     "FetchPickAndPlace": "plan_fetch_pick_and_place",
     "FetchSlide": "plan_fetch_slide",
+    "OGBenchCubeSingle": "plan_ogbench_cube_single",
 }
 _MIXED = ("PickYCB", "PickYCB, unseen objects")  # some of whose objects nothing can lift
 _PLAN_MODES = {
@@ -160,6 +167,25 @@ pwm-gym train --data data-sets/FetchPickAndPlace data-sets/FetchPush data-sets/F
 pwm-gym train --data data-sets/FetchPickAndPlace --out runs/fetch-grip --threads 1 \\
     --phases 1 900 256 5 400 128 15 300 96
 ```
+
+`ogbench-cube` is of OGBench's single cube and its UR5e: 31 minutes of one process beside many others.
+
+```
+pwm-gym collect --task OGBenchCubeSingle --episodes 300 --held-out 40 --practice 0.6
+pwm-gym train --data data-sets/OGBenchCubeSingle --out runs/cube --threads 1 --arm-steps 3000 --error-steps 1000 \\
+    --phases 1 700 256 5 300 128 15 200 96
+```
+
+`two-hands` is of both tasks of two arms: 22 minutes of one process on the box, then TRAIND minutes on both, beside many
+others.
+
+```
+pwm-gym collect --task TwoArmBoxCleanup --episodes 160 --held-out 14 --practice 0.4 --shard 10
+pwm-gym collect --task TwoArmDrawerCleanup --episodes 150 --held-out 14 --practice 0.4 --shard 10
+pwm-gym train --data data-sets/TwoArmBoxCleanup --out runs/box --threads 1 --phases 1 420 128 5 260 48 15 130 32
+pwm-gym train --data data-sets/TwoArmDrawerCleanup data-sets/TwoArmBoxCleanup --init runs/box/checkpoint \\
+    --out runs/hands --threads 1 --learning-rate 0.002 --phases 1 200 128 5 200 48 15 100 32
+```
 """
 _SHIPPED = "## How the shipped checkpoints were trained\n"
 _EARLIER = """## Figures of version 0.1
@@ -171,8 +197,8 @@ _LIMITS = """## What these figures do not show
 
 - Clouds are complete and come from the simulator's meshes, but for the baselines marked "partial" and the sections on
   completion, where the object is segmented by the simulator's ids: errors of segmentation are not in any row.
-- Ten tasks of two robots; Adroit's two have no model yet. What a model makes of shapes that it never saw is told for
-  ten objects alone.
+- Tasks of four robots; Adroit's two and OGBench's two cubes have no model yet. What a model makes of shapes that it
+  never saw is told for ten objects alone.
 - The arm's kinematics and its controller are known to the default model and to no baseline; the table of the arm, where
   it is given, tells what that is worth.
 - All rows are trained by Muon and AdamW, the networks of points with a lower learning rate (0.002) than the default

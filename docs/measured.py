@@ -25,6 +25,8 @@ PAPER_ROLLOUTS = {
     "StackCube": (0.014, 0.83),
     "PickYCB": (0.028, 0.85),
     "MugCleanup": (0.022, 0.79),
+    "TwoArmBoxCleanup": (0.022, 0.83),
+    "TwoArmDrawerCleanup": (0.058, 0.77),
 }
 """Chamfer L1 (m) and reward correlation of the paper's rollouts; likewise."""
 
