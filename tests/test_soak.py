@@ -16,5 +16,5 @@ def test_stepping_keeps_nothing(name):
 
 def test_a_leak_is_seen():
     kept = []
-    found = soak(lambda: kept.append([bytearray(200_000), [0]]), STEPS, progress=False)
+    found = soak(lambda: kept.append([bytearray(b"x") * 1_000_000, [0]]), STEPS, progress=False)
     assert found.objects >= STEPS and found.slope_mib > 1000.0
