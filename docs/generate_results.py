@@ -168,7 +168,7 @@ pwm-gym train --data data-sets/FetchPickAndPlace --out runs/fetch-grip --threads
     --phases 1 900 256 5 400 128 15 300 96
 ```
 
-`ogbench-cube` is of OGBench's single cube and its UR5e: 31 minutes of one process beside many others.
+`ogbench-cube` is of OGBench's single cube and its UR5e: 14 minutes of one processor, 36 by the clock beside many others.
 
 ```
 pwm-gym collect --task OGBenchCubeSingle --episodes 300 --held-out 40 --practice 0.6
@@ -176,8 +176,8 @@ pwm-gym train --data data-sets/OGBenchCubeSingle --out runs/cube --threads 1 --a
     --phases 1 700 256 5 300 128 15 200 96
 ```
 
-`two-hands` is of both tasks of two arms: 22 minutes of one process on the box, then TRAIND minutes on both, beside many
-others.
+`two-hands` is of both tasks of two arms: 18 minutes of one processor on the box, then 15 on both; 27 and 33 by the
+clock beside many others.
 
 ```
 pwm-gym collect --task TwoArmBoxCleanup --episodes 160 --held-out 14 --practice 0.4 --shard 10

@@ -31,7 +31,7 @@ _MORE = {
     "latch in most episodes and seldom opens the door. The reward is Gymnasium-Robotics' own, whose first term pays "
     "for distance from the handle; planners get a cost of their own.\n",
     "OGBenchCubeSingle": "OGBench's `cube-single` (extra `ogbench`), whose own evaluation tasks are starts: "
-    "[mujoco.md](mujoco.md#ogbench). No checkpoint comes with it.\n",
+    "[mujoco.md](mujoco.md#ogbench).\n",
     "OGBenchCubeDouble": "OGBench's `cube-double` (extra `ogbench`), whose own evaluation tasks are starts: "
     "[mujoco.md](mujoco.md#ogbench). No checkpoint comes with it.\n",
     "AdroitHandRelocate": "No checkpoint comes with it, and its script explores: it reaches and grasps, lifts the ball "
