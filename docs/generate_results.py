@@ -168,7 +168,8 @@ pwm-gym train --data data-sets/FetchPickAndPlace --out runs/fetch-grip --threads
     --phases 1 900 256 5 400 128 15 300 96
 ```
 
-`ogbench-cube` is of OGBench's single cube and its UR5e: 14 minutes of one processor, 36 by the clock beside many others.
+`ogbench-cube` is of OGBench's single cube and its UR5e: 14 minutes of one processor, 36 by the clock beside many
+others.
 
 ```
 pwm-gym collect --task OGBenchCubeSingle --episodes 300 --held-out 40 --practice 0.6

@@ -20,20 +20,20 @@ from pwm_gym.tasks import TASKS
 LAYOUT = Layout.build([("hand", 8), ("left_gripper", 8), ("right_gripper", 8), ("cube", 8)], ("hand",))
 
 
-def random_scenes(layout, goal_size):
+def random_scenes(layout, goal_size, action_size):
     """Points and info of three random scenes, the first of which is grasped."""
     generator = torch.Generator().manual_seed(0)
     clouds = 0.05 * torch.randn(3, layout.points, 3, generator=generator)
     frames = torch.eye(4).repeat(3, 3, len(layout), 1, 1)
     frames[..., :3, 3] = torch.randn(3, 3, len(layout), 3, generator=generator)
-    action, goal = torch.randn(3, 7, generator=generator), torch.randn(3, goal_size, generator=generator)
+    action, goal = torch.randn(3, action_size, generator=generator), torch.randn(3, goal_size, generator=generator)
     return cost_info(RigidState(layout, clouds, frames), action, goal, lambda p, i: torch.tensor([True, False, False]))
 
 
 @pytest.fixture
 def view():
     """Three random scenes of one cube."""
-    return random_scenes(LAYOUT, 3)
+    return random_scenes(LAYOUT, 3, 7)
 
 
 def height(points, info):
@@ -81,7 +81,7 @@ def test_terms_are_weighted_and_sum_to_the_cost(costs, view):
 @pytest.mark.parametrize("name", sorted(COSTS))
 def test_every_registered_costs_terms_sum_to_it(name):
     task = next(t for t in TASKS.values() if name in (t.cost, t.plan_cost))
-    view = random_scenes(task.layout, task.goal_size)
+    view = random_scenes(task.layout, task.goal_size, task.action_size)
     cost = get_cost(name)
     torch.testing.assert_close(sum(cost.evaluate(*view).values()), cost(*view))
 
