@@ -18,14 +18,10 @@ _WIDTH = 0.04  # metres: a cube's side
 _TOUCH = 0.004  # metres by which the pads may be farther apart and count as touching
 _HELD = 0.03  # metres from the tool within which a cube is between the pads
 _THERE = 0.02  # metres from its goal within which the oracle lets a cube go
-_LOW, _BESIDE = (
-    0.16,
-    0.04,
-)  # metres: height over the table that the oracle rises to, and beside a cube when it is over it
+_LOW = 0.16  # metres over the table that the oracle rises to
+_BESIDE = 0.04  # metres beside a cube within which it is over it
 _TAKEN = 0.03  # metres from a goal within which another cube takes its place
-_SPOTS = np.array(
-    [[x, y, 0.02] for x in (0.32, 0.425, 0.53) for y in (-0.25, 0.0, 0.25)]
-)  # metres: places on the table
+_SPOTS = np.array([[x, y, 0.02] for x in (0.32, 0.425, 0.53) for y in (-0.25, 0.0, 0.25)])  # metres, on the table
 _WAITS = (0.425, 0.0, 0.3)  # metres: where the tool goes when all is done
 
 
