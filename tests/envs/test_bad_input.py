@@ -10,7 +10,7 @@ import pytest
 import torch
 
 import pwm_gym
-from pwm_gym.dynamics.checkpoint import SCHEMA, resolve
+from pwm_gym.dynamics.checkpoint import SCHEMA, resolve, shipped
 from pwm_gym.errors import CheckpointError, PwmGymError, SceneError, UnknownNameError
 from pwm_gym.scene import Layout
 
@@ -184,7 +184,8 @@ def test_unknown_names(name, arguments, message):
 
 
 def test_unknown_checkpoint():
-    message = r"unknown checkpoint 'pand'; known: default, fetch, fetch-grip, kitchen, panda\. Did you mean 'panda'\?"
+    known = ", ".join(sorted(["default", *shipped()]))
+    message = rf"unknown checkpoint 'pand'; known: {known}\. Did you mean 'panda'\?"
     with pytest.raises(UnknownNameError, match=message):
         gym.make(ID, checkpoint="pand")
 

@@ -19,7 +19,10 @@ from pwm_gym.envs import ModelVectorEnv
 from pwm_gym.errors import PwmGymError
 from pwm_gym.tasks import TASKS
 
-IDS = sorted(f"pwm/{task}-v0" for task in default_checkpoints())
+IDS = [
+    pytest.param(f"pwm/{task}-v0", marks=[pytest.mark.slow] if TASKS[task].layout.points > 8192 else [])
+    for task in sorted(default_checkpoints())
+]
 STEPS = 10
 MODES = list(AutoresetMode)
 
