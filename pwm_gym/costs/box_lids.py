@@ -45,7 +45,7 @@ class LiddedBox:
 
 
 LIDDED_BOX = LiddedBox()
-"""Of :mod:`pwm_gym.sim.lidded_box`."""
+"""Of TwoArmBoxCleanup."""
 
 
 @once

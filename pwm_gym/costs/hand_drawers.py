@@ -39,7 +39,7 @@ DEEP_DRAWER = Drawer(
     aside=HANDLE[1],
     place_aside=PLACE[1],
 )
-"""Of :mod:`pwm_gym.sim.deep_cabinet`."""
+"""Of TwoArmDrawerCleanup."""
 
 _FINGERS, _THUMB = (-0.012, 0.007), (-0.012, 0.005)  # gaps to an object that is held
 _AMID = (0.035, 0.06)  # along the knuckles, and in height, of a hand that is about an object

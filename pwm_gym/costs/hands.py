@@ -1,6 +1,6 @@
 """Shared terms for two hands with straight or bent fingers; used as :mod:`.terms` is. Metres and radians.
 
-The robot is that of :mod:`pwm_gym.robots.two_hands`: a hand's axes are told by the centres of its palm and knuckles.
+The robot is ``two_hands``: a hand's axes are told by the centres of its palm and knuckles.
 """
 
 from __future__ import annotations
