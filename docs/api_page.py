@@ -43,7 +43,7 @@ _FURTHER = (
     "pwm_gym.agents.ranking",
     "pwm_gym.sim.maniskill",
     "pwm_gym.sim.mujoco",
-    "pwm_gym.sim.cabinet",
+    "pwm_gym.sim.cabinets",
     "pwm_gym.sim.coffee_machine",
     "pwm_gym.sim.props",
     "pwm_gym.agents.contestants",

@@ -16,12 +16,10 @@ from pwm_gym.costs.motion import speed
 from pwm_gym.costs.stages import Stage
 from pwm_gym.costs.terms import Info, Term
 from pwm_gym.robots.two_hands import FACE, SIDES, SIGN
-from pwm_gym.sim.lidded_box import LID_HALF, ON_BOX
+from pwm_gym.sim.lidded_box import BESIDE, GRIP_HEIGHT, LID_HALF, ON_BOX, PRESSED
 
 __all__ = ["LIDDED_BOX", "LiddedBox", "apart", "brought", "facing", "held", "reach", "released", "seated", "sequence"]
 
-_PRESSED, _BESIDE = (-0.010, 0.006), 0.06  # gaps of a hand that holds, and its height beside the lid's
-_GRIP_HEIGHT = 0.024  # of the tools over the lid's middle
 _OUTSIDE = 0.045  # gap from where hands go in
 _READY = (0.025, 0.020, 0.09)  # along the side, in height, and gap at most, of a hand that may go in
 _LIFTED = 0.135  # height of the skirt's lower edge from where the lid passes over the box
@@ -76,14 +74,14 @@ def _from_grip(points: Points, lid: str, side: str) -> Tensor:
     out = SIGN[side] * contacts.across(front)
     offset = hands.tool(points, side) - _middle(points, lid)
     parts = [(offset * axis.squeeze(-1)).sum(-1) for axis in (front, out)]
-    return torch.stack([parts[0], parts[1] - LID_HALF[1] - FACE, offset[..., 2] - _GRIP_HEIGHT], -1)
+    return torch.stack([parts[0], parts[1] - LID_HALF[1] - FACE, offset[..., 2] - GRIP_HEIGHT], -1)
 
 
 @once
 def _gap(points: Points, lid: str, side: str) -> Tensor:
     """Gap (B,) between one hand and the lid's side; 1 m where it is not beside it."""
     along_side, gap, height = _from_grip(points, lid, side).unbind(-1)
-    beside = (along_side.abs() <= LID_HALF[0]) & ((height + _GRIP_HEIGHT).abs() <= _BESIDE)
+    beside = (along_side.abs() <= LID_HALF[0]) & ((height + GRIP_HEIGHT).abs() <= BESIDE)
     return torch.where(beside, gap, 1.0)
 
 
@@ -113,7 +111,7 @@ def held(lidded: LiddedBox) -> Term:
 
     def term(points: Points, info: Info) -> Tensor:
         gaps = _gaps(points, lidded.lid)
-        return ((gaps >= _PRESSED[0]) & (gaps <= _PRESSED[1])).all(-1)
+        return ((gaps >= PRESSED[0]) & (gaps <= PRESSED[1])).all(-1)
 
     return term
 
@@ -223,7 +221,7 @@ def _ready(lidded: LiddedBox) -> Term:
         for side in SIDES:
             along_side, gap, height = _from_grip(points, lidded.lid, side).unbind(-1)
             level = (along_side.abs() <= _READY[0]) & (height.abs() <= _READY[1])
-            found.append(level & (gap <= _READY[2]) & (gap >= _PRESSED[0]))
+            found.append(level & (gap <= _READY[2]) & (gap >= PRESSED[0]))
         return torch.stack(found).all(0)
 
     return term
@@ -253,7 +251,7 @@ def _open(lidded: LiddedBox) -> Term:
 def _pressing(points: Points, lid: str) -> Tensor:
     """Soft bool (B,): both hands press on the lid's sides."""
     gaps = _gaps(points, lid)
-    return (torch.sigmoid((0.004 - gaps) / 0.001) * torch.sigmoid((gaps + 0.010) / 0.001)).prod(-1)
+    return (torch.sigmoid((0.004 - gaps) / 0.001) * torch.sigmoid((gaps - PRESSED[0]) / 0.001)).prod(-1)
 
 
 def _firmness(lidded: LiddedBox) -> Term:

@@ -14,7 +14,7 @@ from torch import Tensor
 from pwm_gym.costs import contacts
 from pwm_gym.costs.contacts import Points, across, along, level, once, squared
 from pwm_gym.costs.terms import Info, Place, Term, centre, nearness, tool
-from pwm_gym.sim.cabinet import DRAWER_FROM, DRAWER_TO, HANDLE, PLACE, STROKE, TRAY, TRAY_FLOOR
+from pwm_gym.sim.cabinets import LOW_CABINET, Cabinet
 
 __all__ = [
     "CABINET_DRAWER",
@@ -63,16 +63,24 @@ class Drawer:
     place_aside: float = 0.0
     """The same of the place."""
 
+    @classmethod
+    def of(cls, cabinet: Cabinet) -> Drawer:
+        """The drawer of a cabinet whose entities are called ``cabinet`` and ``drawer``."""
+        low, high, tray = cabinet.drawer_from, cabinet.drawer_to, cabinet.tray
+        return cls(
+            way=cabinet.stroke,
+            ahead=0.5 * (low[0] + high[0]),
+            bar=(high[0] - cabinet.handle[0], high[2] - cabinet.handle[2]),
+            tray=(high[0] - tray[1][0], high[0] - tray[0][0], tray[1][1]),
+            floor=cabinet.tray_floor - low[2],
+            place=high[0] - cabinet.place[0],
+            aside=cabinet.handle[1],
+            place_aside=cabinet.place[1],
+        )
 
-CABINET_DRAWER = Drawer(
-    way=STROKE,
-    ahead=0.5 * (DRAWER_FROM[0] + DRAWER_TO[0]),
-    bar=(DRAWER_TO[0] - HANDLE[0], DRAWER_TO[2] - HANDLE[2]),
-    tray=(DRAWER_TO[0] - TRAY[1][0], DRAWER_TO[0] - TRAY[0][0], TRAY[1][1]),
-    floor=TRAY_FLOOR - DRAWER_FROM[2],
-    place=DRAWER_TO[0] - PLACE[0],
-)
-"""Of :mod:`pwm_gym.sim.cabinet`."""
+
+CABINET_DRAWER = Drawer.of(LOW_CABINET)
+"""Of the low cabinet."""
 
 
 @once

@@ -14,36 +14,15 @@ from pwm_gym.costs.drawers import Drawer
 from pwm_gym.costs.motion import speed
 from pwm_gym.costs.stages import Stage
 from pwm_gym.costs.terms import Info, Place, Term, nearness, way_from_above
-from pwm_gym.robots.two_hands import FACE, SIGN, TWO_HANDS
-from pwm_gym.sim.deep_cabinet import (
-    DRAWER_FROM,
-    DRAWER_TO,
-    FRONT,
-    HANDLE,
-    HANDLE_WIDTH,
-    PLACE,
-    STROKE,
-    TRAY,
-    TRAY_FLOOR,
-)
+from pwm_gym.robots.two_hands import AMID, FACE, HELD, SIGN, TWO_HANDS
+from pwm_gym.sim.cabinets import DEEP_CABINET
 
 __all__ = ["DEEP_DRAWER", "beside", "facing", "held", "holds", "reach", "reach_handle", "sequence"]
 
-DEEP_DRAWER = Drawer(
-    way=STROKE,
-    ahead=0.5 * (DRAWER_FROM[0] + DRAWER_TO[0]),
-    bar=(DRAWER_TO[0] - HANDLE[0], DRAWER_TO[2] - HANDLE[2]),
-    tray=(DRAWER_TO[0] - TRAY[1][0], DRAWER_TO[0] - TRAY[0][0], TRAY[1][1]),
-    floor=TRAY_FLOOR - DRAWER_FROM[2],
-    place=DRAWER_TO[0] - PLACE[0],
-    aside=HANDLE[1],
-    place_aside=PLACE[1],
-)
+DEEP_DRAWER = Drawer.of(DEEP_CABINET)
 """Of TwoArmDrawerCleanup."""
 
-_FINGERS, _THUMB = (-0.012, 0.007), (-0.012, 0.005)  # gaps to an object that is held
-_AMID = (0.035, 0.06)  # along the knuckles, and in height, of a hand that is about an object
-_GAP_MIDDLE = HANDLE[0] - 0.5 * (FRONT + HANDLE[0] - 0.5 * HANDLE_WIDTH)  # behind the bar, where a hand hangs
+_GAP_MIDDLE = DEEP_CABINET.handle[0] - DEEP_CABINET.gap_middle  # behind the bar, where a hand hangs
 _BAR_OVER = 0.006  # of the tool over the bar there
 _HUNG = (0.022, 0.030, 0.035)  # along the way, across it, in height: the hand is behind the bar
 _OPENED_FURTHER = 0.01
@@ -70,11 +49,12 @@ def holds(side: str, name: str) -> Term:
     """Bool (B,): fingers and thumb of a hand touch an object between them."""
 
     def term(points: Points, info: Info) -> Tensor:
-        fingers, thumb = _along_normal(points, side, name)
-        touching = (fingers >= _FINGERS[0]) & (fingers <= _FINGERS[1]) & (thumb >= _THUMB[0]) & (thumb <= _THUMB[1])
+        gaps = torch.stack(_along_normal(points, side, name), -1)
+        low, high = gaps.new_tensor(HELD).unbind(-1)
+        touching = ((gaps >= low) & (gaps <= high)).all(-1)
         offset = contacts.centre(points, name) - hands.tool(points, side)
         aside = (offset * hands.across(points, side)).sum(-1).abs()
-        return touching & (aside <= _AMID[0]) & (offset[..., 2].abs() <= _AMID[1])
+        return touching & (aside <= AMID[0]) & (offset[..., 2].abs() <= AMID[1])
 
     return term
 
@@ -273,7 +253,7 @@ def _thumb_aside(name: str) -> Term:
 def _firmness(points: Points, name: str) -> Tensor:
     """Soft bool (B,): fingers and thumb of the right hand touch an object."""
     gaps = torch.stack(_along_normal(points, "right", name), -1)
-    return (torch.sigmoid((0.004 - gaps) / 0.001) * torch.sigmoid((gaps + 0.012) / 0.001)).prod(-1)
+    return (torch.sigmoid((0.004 - gaps) / 0.001) * torch.sigmoid((gaps - HELD[0][0]) / 0.001)).prod(-1)
 
 
 def _lift(name: str) -> Term:

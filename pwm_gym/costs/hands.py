@@ -36,9 +36,7 @@ OPPOSITE = float(finger_targets((0.5 * pi, 0.0), 0.0)[0])
 """Target of a thumb's first joint that swings it opposite to the fingers."""
 
 _PALM = boxes("left_palm")[0][1]  # centre of the palm in its own frame
-_LEAN = atan2(
-    TOOL[0] - _PALM[0], TOOL[2] - _PALM[2]
-)  # of the way from the palm's centre to the tool, from the hand's z
+_LEAN = atan2(TOOL[0] - _PALM[0], TOOL[2] - _PALM[2])  # of the way from the palm's centre to the tool, from z
 _THUMB_JOINTS = 2  # come first among a hand's targets
 _LOWEST = 0.004  # metres over the ground, under which a hand presses on it
 _REACH = 0.5  # metres: speed of a hand over that of the arm's joints, where they are not known
@@ -81,7 +79,7 @@ def normal(points: Points, side: str) -> Tensor:
 def tilted(points: Points, info: Info) -> Tensor:
     """Sines of the angles by which hands do not hang upright, beyond 2 degrees, of both together."""
     tilts = [axes(points, side)[1][..., :2].norm(dim=-1) for side in SIDES]
-    return sum((tilt - _UPRIGHT).clamp_min(0.0) for tilt in tilts) + torch.zeros_like(tilts[0])
+    return (torch.stack(tilts) - _UPRIGHT).clamp_min(0.0).sum(0)
 
 
 def _targets(sides: tuple[str, ...], first: int) -> list[int]:

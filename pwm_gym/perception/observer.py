@@ -84,6 +84,7 @@ class SceneObserver:
         self.task, self.layout, self.robot, self.table = task, layout, robot, table
         self.segmenter, self.completer, self.cleaning, self.tracking = segmenter, completer, cleaning, tracking
         self._own = self._clouds_of_links(robot, clouds)
+        self._places = [] if robot is None else [robot.layout.index(name) for name in self._links]
         known = furniture_names(layout)
         if known and clouds is None:
             raise SceneError(
@@ -162,8 +163,7 @@ class SceneObserver:
     def _link_poses(self, frame: Frame, joints: np.ndarray) -> np.ndarray:
         """The driven links' poses (L, 4, 4): by forward kinematics, or as the robot reports them."""
         if self.robot is not None:
-            index = [self.robot.layout.index(name) for name in self._links]
-            return self.robot.poses(torch.as_tensor(joints, dtype=torch.float64)).numpy()[index]
+            return self.robot.poses(torch.as_tensor(joints, dtype=torch.float64)).numpy()[self._places]
         if frame.links is None or len(frame.links) != len(self._links):
             found = "no links" if frame.links is None else f"{len(frame.links)} links"
             raise SceneError(f"the frame has {found}; expected the poses (L, 7) of {', '.join(self._links)}")

@@ -22,9 +22,11 @@ from pwm_gym.scene.joint import Joint, Mimic, Pose7
 from pwm_gym.scene.poses import compose
 
 __all__ = [
+    "AMID",
     "DRIVEN",
     "FACE",
     "FINGERS",
+    "HELD",
     "JOINT_NAMES",
     "REST",
     "SIDES",
@@ -49,6 +51,10 @@ FACE = 0.008
 """From the tool centre, out of the palm, to the face of straight fingers."""
 TOOL = (-FACE, 0.0, 0.118)
 """Tool centre in the palm's frame: the middle of straight fingers."""
+HELD = ((-0.012, 0.007), (-0.012, 0.005))
+"""Gaps, from and to, of fingers and of the thumb to what they hold between them."""
+AMID = (0.035, 0.06)
+"""Of the tool beside the middle of such a thing, along the knuckles and in height, at most."""
 
 _PALM_HEIGHT, _PALM_DEPTH, _PALM_HALF = 0.075, 0.026, 0.043
 _RECESS = 0.004  # of the palm behind the fingers' face

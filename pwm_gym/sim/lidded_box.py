@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from pwm_gym.sim.shapes import Box, Shape
 
-__all__ = ["BOX", "BOX_HALF", "LID", "LID_HALF", "ON_BOX"]
+__all__ = ["BESIDE", "BOX", "BOX_HALF", "GRIP_HEIGHT", "LID", "LID_HALF", "ON_BOX", "PRESSED"]
 
 _WALL, _PLATE = 0.008, 0.006
 
@@ -17,6 +17,12 @@ LID_HALF = (0.120, 0.110, 0.028)
 """Half the lid's: its skirt goes 5 cm down, 14 mm beside the box (4 mm does not fit two hands)."""
 ON_BOX = BOX_HALF[2] + _PLATE - LID_HALF[2]
 """Height of a seated lid's middle over the box's."""
+GRIP_HEIGHT = 0.024
+"""Of the tools over the lid's middle, where hands hold it."""
+PRESSED = (-0.010, 0.006)
+"""Gaps between a hand and the lid's side from and to which it holds the lid."""
+BESIDE = 0.06
+"""Of a tool over or under the lid's middle, at most, of a hand that is beside the lid."""
 
 
 def _sides(half: tuple[float, float, float], low: float, high: float) -> tuple[Shape, ...]:

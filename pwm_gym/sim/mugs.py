@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pwm_gym.errors import look_up
 from pwm_gym.sim.shapes import Box, Cylinder, Shape
 
-__all__ = ["MUGS", "Mug", "get_mug"]
+__all__ = ["MUGS", "TALL_MUG", "Mug", "get_mug"]
 
 _SIDES = 16
 _BASE = 0.002  # by which the floor stands out below the walls: fewer contacts with what it stands on
@@ -53,6 +53,8 @@ MUGS = {
     for height in (0.060, 0.066, 0.072)
 }
 """Name (radius x height in millimetres) -> mug."""
+TALL_MUG = Mug(radius=0.030, height=0.090)
+"""Of two hands: fingers and thumb hold it below its rim."""
 
 
 def get_mug(name: str) -> Mug:

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pwm_gym.robots import panda
-from pwm_gym.sim.cabinet import PLACE, TRAY, TRAY_FLOOR
+from pwm_gym.sim.cabinets import LOW_CABINET
 from pwm_gym.sim.mugs import Mug
 from pwm_gym.skills.carry import Carry
 from pwm_gym.skills.motion import servo
@@ -52,7 +52,7 @@ class CleanUp:
 
     def _carry(self) -> np.ndarray:
         """Bring the held mug over the drawer's edge into it."""
-        place = self._drawer.in_drawer(PLACE) + 0.5 * self.mug.height * _UP
+        place = self._drawer.in_drawer(LOW_CABINET.place) + 0.5 * self.mug.height * _UP
         return Carry(0.13, self.speed).act(self.poses, self.poses[5, :3], place, self._side)
 
     def _shut(self) -> np.ndarray:
@@ -99,11 +99,12 @@ class CleanUp:
     @cached_property
     def _height(self) -> float:
         """Of the mug's bottom over the tray's floor."""
-        return float(self.poses[5, 2] - 0.5 * self.mug.height - self._drawer.in_drawer((0.0, 0.0, TRAY_FLOOR))[2])
+        floor = self._drawer.in_drawer((0.0, 0.0, LOW_CABINET.tray_floor))[2]
+        return float(self.poses[5, 2] - 0.5 * self.mug.height - floor)
 
     @cached_property
     def _inside(self) -> bool:
         """Whether the mug is in the tray."""
         local = self._turn.inv().apply(self.poses[5, :3] - self.poses[4, :3])
-        low, high = np.array(TRAY)
+        low, high = np.array(LOW_CABINET.tray)
         return bool(((local[:2] > low) & (local[:2] < high)).all() and self._height < _IN_TRAY)

@@ -14,7 +14,8 @@ from scipy.spatial.transform import Rotation
 from pwm_gym.robots import two_hands
 from pwm_gym.robots.two_hands import FACE, SIGN, TOOL, TWO_HANDS, boxes
 from pwm_gym.scene.poses import rotation
-from pwm_gym.sim.deep_cabinet import FRONT, HANDLE, HANDLE_WIDTH, MUG, OPENED, PLACE, TRAY, TRAY_FLOOR
+from pwm_gym.sim.cabinets import DEEP_CABINET
+from pwm_gym.sim.mugs import TALL_MUG
 from pwm_gym.skills.two_hands import FLAT, Reach, act, upright
 
 __all__ = ["FillDrawer"]
@@ -23,14 +24,14 @@ _UP = np.array([0.0, 0.0, 1.0])
 _WIDE = two_hands.finger_targets((0.5 * np.pi, 0.0), 0.0)
 _CLOSED = two_hands.finger_targets((0.5 * np.pi, 0.30), 0.0)
 _BAR_OVER = 0.006  # of the tool over the bar's middle, when the hand hangs behind it
-_IN_GAP = 0.5 * (FRONT + HANDLE[0] - 0.5 * HANDLE_WIDTH)  # x of the tool there, in the drawer's frame
+_IN_GAP = DEEP_CABINET.gap_middle  # x of the tool there, in the drawer's frame
 _OVER_BAR = 0.10  # of the tool over that height, on its way there
 _TURNED = 0.15  # radians by which a hand may be turned when it comes down
 _AMID = (0.018, 0.026)  # across and along the drawer's way, beside the gap's middle, of a hand that comes down
 _HANGS = 0.05  # over its height, of a hand that is in the gap
 _PULL, _FURTHER = 0.035, 0.012  # asked for in a step, and how much farther than counts as open it is pulled
 _PUSH, _SHUT = 0.035, 0.004
-_FROM_MUG = FACE + MUG.radius + 0.008  # of the tool from the mug's axis, out of the palm, before it closes
+_FROM_MUG = FACE + TALL_MUG.radius + 0.008  # of the tool from the mug's axis, out of the palm, before it closes
 _GRIP_HEIGHT = 0.018  # of the tool over the mug's middle
 _TRAVEL = 0.12  # of the tool over that height, on its way
 _THERE = (0.009, 0.010)  # beside and over its place, from where the hand closes
@@ -59,13 +60,13 @@ class FillDrawer:
 
     def _left(self) -> Reach:
         """Into the gap behind the bar from above; pull, hang there, push."""
-        hang = self._in_drawer((_IN_GAP, HANDLE[1], HANDLE[2] + _BAR_OVER))
+        hang = self._in_drawer((_IN_GAP, DEEP_CABINET.handle[1], DEEP_CABINET.handle[2] + _BAR_OVER))
         if not self._hangs:
             return self._hook(hang)
         if self._inside and self._clear:
             far = 0.0 if self.opening < _SHUT else _PUSH
             return self._left_reach(hang, -far * self._front)
-        if self.opening < OPENED + _FURTHER and not self._inside:
+        if self.opening < DEEP_CABINET.opened + _FURTHER and not self._inside:
             return self._left_reach(hang, _PULL * self._front)
         return self._left_reach(hang)
 
@@ -103,7 +104,7 @@ class FillDrawer:
             place = place + _TRAVEL * _UP
             if offset[2] < _TRAVEL - 0.04 and beside > 0.02:
                 place = np.r_[self._right_tool[:2], place[2]]
-        elif self.opening < OPENED and offset[2] > 0.06:  # it waits above for the drawer
+        elif self.opening < DEEP_CABINET.opened and offset[2] > 0.06:  # it waits above for the drawer
             place = place + 0.08 * _UP
         return self._right_reach(place, _WIDE)
 
@@ -111,9 +112,9 @@ class FillDrawer:
         """Lift, carry over the tray, lower; wait where the drawer is not open."""
         way = self._place - self.poses[-1, :3]
         beside, height = float(np.hypot(*way[:2])), -float(way[2])
-        if beside > _ASTRAY or self.opening < OPENED:
+        if beside > _ASTRAY or self.opening < DEEP_CABINET.opened:
             way[2] = _CARRY - height
-            if way[2] > 0.03 or self.opening < OPENED:
+            if way[2] > 0.03 or self.opening < DEEP_CABINET.opened:
                 way[:2] = 0.0
         elif beside > _OVER_PLACE:
             way[2] = min(_CARRY - height, 0.0)
@@ -164,8 +165,8 @@ class FillDrawer:
     def _hangs(self) -> bool:
         """Whether the left hand is in the gap."""
         x, y, z = self._drawer.inv().apply(self._left_tool[:3] - self.poses[-2, :3])
-        inside = FRONT < x < HANDLE[0] and abs(y - HANDLE[1]) < 0.04
-        return bool(inside and z - HANDLE[2] - _BAR_OVER < _HANGS and self._turned_left)
+        inside = DEEP_CABINET.front < x < DEEP_CABINET.handle[0] and abs(y - DEEP_CABINET.handle[1]) < 0.04
+        return bool(inside and z - DEEP_CABINET.handle[2] - _BAR_OVER < _HANGS and self._turned_left)
 
     @cached_property
     def _turned_left(self) -> bool:
@@ -196,24 +197,25 @@ class FillDrawer:
         (_, thick, length), _ = boxes("right_thumb_2")[0]
         inner = thumb[:3] + rotation(thumb).apply([[0.0, -0.5 * SIGN["right"] * thick, h * length] for h in (0.3, 1.0)])
         ahead = float((rotation(palm).inv().apply(inner - palm[:3])[:, 0] - TOOL[0]).min())
-        touching = x - MUG.radius - FACE < _HOLDS[0] and ahead - x - MUG.radius < _HOLDS[1]
+        touching = x - TALL_MUG.radius - FACE < _HOLDS[0] and ahead - x - TALL_MUG.radius < _HOLDS[1]
         return bool(touching and abs(y) < 0.03 and abs(z) < 0.05)
 
     @cached_property
     def _place(self) -> np.ndarray:
         """Where the mug's middle (3,) belongs."""
-        return self._in_drawer(PLACE) + 0.5 * MUG.height * _UP
+        return self._in_drawer(DEEP_CABINET.place) + 0.5 * TALL_MUG.height * _UP
 
     @cached_property
     def _height(self) -> float:
         """Of the mug's bottom over the tray's floor."""
-        return float(self.poses[-1, 2] - 0.5 * MUG.height - self._in_drawer((0.0, 0.0, TRAY_FLOOR))[2])
+        floor = self._in_drawer((0.0, 0.0, DEEP_CABINET.tray_floor))[2]
+        return float(self.poses[-1, 2] - 0.5 * TALL_MUG.height - floor)
 
     @cached_property
     def _inside(self) -> bool:
         """Whether the mug is in the tray."""
         local = self._drawer.inv().apply(self.poses[-1, :3] - self.poses[-2, :3])
-        low, high = np.array(TRAY)
+        low, high = np.array(DEEP_CABINET.tray)
         return bool(((local[:2] > low) & (local[:2] < high)).all() and self._height < _IN_TRAY)
 
     @cached_property

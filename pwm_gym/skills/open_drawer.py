@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pwm_gym.robots import panda
-from pwm_gym.sim.cabinet import DRAWER_JOINT, HANDLE, HANDLE_WIDTH
+from pwm_gym.sim.cabinets import LOW_CABINET
 from pwm_gym.skills.motion import servo
 from pwm_gym.skills.pinch import Pinch
 
@@ -36,7 +36,7 @@ class OpenDrawer:
 
     def act(self) -> np.ndarray | None:
         """Action (7,); None where nothing is left to do."""
-        bar = Pinch((HANDLE_WIDTH - 0.004, HANDLE_WIDTH + 0.004), _WIDE, 0.08, self.speed)
+        bar = Pinch((LOW_CABINET.handle_width - 0.004, LOW_CABINET.handle_width + 0.004), _WIDE, 0.08, self.speed)
         if bar.holds(self.poses, self.bar) and self.opening < _PULLED:
             return self._move(self.bar + 0.05 * self.front, gripper=-1.0)
         if self.opening < _OPEN:
@@ -71,12 +71,12 @@ class OpenDrawer:
     @cached_property
     def bar(self) -> np.ndarray:
         """Middle (3,) of the handle's bar."""
-        return self.in_drawer(HANDLE)
+        return self.in_drawer(LOW_CABINET.handle)
 
     @cached_property
     def opening(self) -> float:
         """How far it is open."""
-        return float((self.drawer[:3] - self.cabinet[:3]) @ self.front - DRAWER_JOINT.origin[0])
+        return float((self.drawer[:3] - self.cabinet[:3]) @ self.front - LOW_CABINET.joint.origin[0])
 
     @cached_property
     def _at_bar(self) -> bool:

@@ -10,13 +10,12 @@ import numpy as np
 from pwm_gym.robots import two_hands
 from pwm_gym.robots.two_hands import FACE, SIDES, SIGN
 from pwm_gym.scene.poses import rotation
-from pwm_gym.sim.lidded_box import LID_HALF, ON_BOX
+from pwm_gym.sim.lidded_box import GRIP_HEIGHT, LID_HALF, ON_BOX
 from pwm_gym.skills.two_hands import FLAT, Reach, act
 
 __all__ = ["PutLid"]
 
 _UP = np.array([0.0, 0.0, 1.0])
-_GRIP_HEIGHT = 0.024  # of the tools over the lid's middle
 _OUTSIDE = 0.060  # between hand and lid, where a hand comes down
 _FARTHEST = 0.10  # from where a hand beside the lid may go in
 _SQUEEZE = 0.025  # past the contact, to where hands that come in are told to go
@@ -114,7 +113,7 @@ class PutLid:
 
     def _grip(self, side: str) -> np.ndarray:
         """Where (3,) a tool holds the lid."""
-        return self.poses[-1, :3] + (LID_HALF[1] + FACE) * self._ways_out[side] + _GRIP_HEIGHT * _UP
+        return self.poses[-1, :3] + (LID_HALF[1] + FACE) * self._ways_out[side] + GRIP_HEIGHT * _UP
 
     def _from_grip(self, side: str) -> np.ndarray:
         """Tool (3,) from there: along the lid's side, out of it, up."""

@@ -29,7 +29,7 @@ from pwm_gym.costs.motion import joint_speed
 from pwm_gym.robots.panda import JOINT_SPEEDS, PANDA, layout
 from pwm_gym.scene import FIXED
 from pwm_gym.sim import Simulator
-from pwm_gym.sim.cabinet import DRAWER_JOINT, OPENED
+from pwm_gym.sim.cabinets import LOW_CABINET
 from pwm_gym.sim.coffee_machine import LID_JOINT, SEATED, SHUT_ANGLE
 from pwm_gym.sim.mugs import get_mug
 from pwm_gym.skills import Prepare
@@ -38,7 +38,7 @@ from pwm_gym.tasks.registry import Task, register_task
 __all__ = ["COFFEE_PREPARATION", "CoffeePreparationExpert"]
 
 _STATIC = 0.2  # rad/s: the simulator's threshold
-_JOINTS = {"machine": FIXED, "lid": LID_JOINT, "cabinet": FIXED, "drawer": DRAWER_JOINT}
+_JOINTS = {"machine": FIXED, "lid": LID_JOINT, "cabinet": FIXED, "drawer": LOW_CABINET.joint}
 _POINTS = {"machine": 1408, "lid": 640, "pod": 512, "cabinet": 1536, "drawer": 1536, "mug": 1024}
 _LAYOUT = layout(_POINTS, points=512, joints=_JOINTS)
 _LID, _DRAWER = lids.COFFEE_LID, drawers.CABINET_DRAWER
@@ -46,7 +46,7 @@ _holds_mug, _holds_pod = objects.held("mug"), terms.pinch("pod")
 _stand = lids.before(_LID, "mug")
 _stands = terms.resting_on("mug", _stand, beside=0.02, height=0.006)
 _seated = lids.seated(_LID, "pod", *SEATED)
-_is_open, _is_shut = drawers.open_to(_DRAWER, OPENED), lids.shut_to(_LID, SHUT_ANGLE)
+_is_open, _is_shut = drawers.open_to(_DRAWER, LOW_CABINET.opened), lids.shut_to(_LID, SHUT_ANGLE)
 register_grasp("coffee_preparation")(_holds_pod)
 
 
@@ -82,7 +82,7 @@ register_stages(
     [
         sequences.place("mug", "machine", _stand, _stands),
         sequences.leave("mug"),
-        sequences.open_drawer(_DRAWER, OPENED),
+        sequences.open_drawer(_DRAWER, LOW_CABINET.opened),
         sequences.take_out("pod", _DRAWER, 0.06, until=_seated),
         sequences.insert("pod", _LID, _seated),
         sequences.close_lid(_LID, SHUT_ANGLE),

@@ -25,7 +25,7 @@ from pwm_gym.errors import PwmGymError
 from pwm_gym.robots.panda import JOINT_SPEEDS, PANDA, layout
 from pwm_gym.scene import FIXED
 from pwm_gym.sim import Simulator
-from pwm_gym.sim.cabinet import DRAWER_JOINT, OPENED
+from pwm_gym.sim.cabinets import LOW_CABINET
 from pwm_gym.sim.mugs import get_mug
 from pwm_gym.skills import CleanUp
 from pwm_gym.tasks.registry import Task, register_task
@@ -33,12 +33,12 @@ from pwm_gym.tasks.registry import Task, register_task
 __all__ = ["MUG_CLEANUP", "MugCleanupExpert"]
 
 _SHUT, _STATIC = 0.008, 0.2  # metres, and rad/s: the simulator's thresholds
-_JOINTS = {"cabinet": FIXED, "drawer": DRAWER_JOINT}
+_JOINTS = {"cabinet": FIXED, "drawer": LOW_CABINET.joint}
 _LAYOUT = layout({"cabinet": 2560, "drawer": 2560, "mug": 1536}, points=512, joints=_JOINTS)
 _DRAWER = drawers.CABINET_DRAWER
 _held = objects.held("mug")
 _inside = drawers.inside(_DRAWER, "mug", edge=0.025, height=0.014)
-_is_open = drawers.open_to(_DRAWER, OPENED)
+_is_open = drawers.open_to(_DRAWER, LOW_CABINET.opened)
 _is_shut = drawers.shut_to(_DRAWER, _SHUT)
 register_grasp("mug_cleanup")(_held)  # by the rim, far from the mug's centre
 
@@ -67,7 +67,7 @@ register_terms(  # minus the simulator's normalised shaped reward
 register_stages(
     "mug_cleanup_plan",
     [
-        sequences.open_drawer(_DRAWER, OPENED),
+        sequences.open_drawer(_DRAWER, LOW_CABINET.opened),
         sequences.put_in("mug", _DRAWER, _inside),
         sequences.close_drawer(_DRAWER, _SHUT),
         sequences.rest(JOINT_SPEEDS, _STATIC),

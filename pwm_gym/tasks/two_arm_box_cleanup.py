@@ -19,7 +19,7 @@ from pwm_gym.costs import (
     shaped,
     terms,
 )
-from pwm_gym.robots.two_hands import JOINT_NAMES, SIDES, TWO_HANDS, layout
+from pwm_gym.robots.two_hands import SIDES, TWO_HANDS, layout
 from pwm_gym.sim import Simulator
 from pwm_gym.skills import PutLid
 from pwm_gym.tasks.registry import Task, register_task
@@ -82,15 +82,9 @@ class TwoArmBoxCleanupExpert:
 
 
 def _simulator() -> Simulator:
-    from pwm_gym.sim.maniskill import ManiSkillSimulator
+    from pwm_gym.sim.maniskill.two_hands import two_hands_simulator
 
-    return ManiSkillSimulator(
-        "TwoArmBoxCleanup-v1",
-        {**TWO_HANDS.links, "box": "box", "lid": "lid"},
-        control=TWO_HANDS.control,
-        robot_uids=TWO_HANDS.name,
-        joint_names=JOINT_NAMES,
-    )
+    return two_hands_simulator("TwoArmBoxCleanup-v1", {"box": "box", "lid": "lid"})
 
 
 TWO_ARM_BOX_CLEANUP = register_task(

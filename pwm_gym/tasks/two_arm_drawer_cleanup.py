@@ -20,22 +20,22 @@ from pwm_gym.costs import (
     shaped,
     terms,
 )
-from pwm_gym.robots.two_hands import JOINT_NAMES, TWO_HANDS, layout
+from pwm_gym.robots.two_hands import TWO_HANDS, layout
 from pwm_gym.scene import FIXED
 from pwm_gym.sim import Simulator
-from pwm_gym.sim.deep_cabinet import DRAWER_JOINT, OPENED
+from pwm_gym.sim.cabinets import DEEP_CABINET
 from pwm_gym.skills import FillDrawer
 from pwm_gym.tasks.registry import Task, register_task
 
 __all__ = ["TWO_ARM_DRAWER_CLEANUP", "TwoArmDrawerCleanupExpert"]
 
 _SHUT, _STATIC = 0.008, 0.2  # metres, and rad/s: the simulator's thresholds
-_JOINTS = {"cabinet": FIXED, "drawer": DRAWER_JOINT}
+_JOINTS = {"cabinet": FIXED, "drawer": DEEP_CABINET.joint}
 _LAYOUT = layout({"cabinet": 3000, "drawer": 3000, "mug": 2000}, _JOINTS)
 _DRAWER = hand_drawers.DEEP_DRAWER
 _held = hand_drawers.held("mug")
 _inside = drawers.inside(_DRAWER, "mug", edge=0.025, height=0.014)
-_is_open = drawers.open_to(_DRAWER, OPENED)
+_is_open = drawers.open_to(_DRAWER, DEEP_CABINET.opened)
 _is_shut = drawers.shut_to(_DRAWER, _SHUT)
 register_grasp("two_arm_drawer_cleanup")(_held)
 
@@ -63,7 +63,7 @@ register_terms(  # minus the simulator's normalised shaped reward
 )
 register_stages(
     "two_arm_drawer_cleanup_plan",
-    hand_drawers.sequence(_DRAWER, "mug", _inside, OPENED, _SHUT, _STATIC),
+    hand_drawers.sequence(_DRAWER, "mug", _inside, DEEP_CABINET.opened, _SHUT, _STATIC),
     {
         "ground_contact": (1.0, hands.ground_contact),
         "tilt": (4.0, hands.tilted),
@@ -90,14 +90,10 @@ class TwoArmDrawerCleanupExpert:
 
 
 def _simulator() -> Simulator:
-    from pwm_gym.sim.maniskill import ManiSkillSimulator
+    from pwm_gym.sim.maniskill.two_hands import two_hands_simulator
 
-    return ManiSkillSimulator(
-        "TwoArmDrawerCleanup-v1",
-        {**TWO_HANDS.links, "cabinet": "cabinet/cabinet", "drawer": "cabinet/drawer", "mug": "mug"},
-        control=TWO_HANDS.control,
-        robot_uids=TWO_HANDS.name,
-        joint_names=JOINT_NAMES,
+    return two_hands_simulator(
+        "TwoArmDrawerCleanup-v1", {"cabinet": "cabinet/cabinet", "drawer": "cabinet/drawer", "mug": "mug"}
     )
 
 

@@ -7,7 +7,7 @@ import trimesh
 
 from pwm_gym.costs import contacts, drawers, objects, terms
 from pwm_gym.scene import sample_surface
-from pwm_gym.sim.cabinet import CABINET, DRAWER, DRAWER_JOINT, TRAY
+from pwm_gym.sim.cabinets import LOW_CABINET
 
 
 def cloud(mesh, at, count=1500):
@@ -76,9 +76,10 @@ def test_a_held_object_gains_by_coming_nearer_from_any_distance():
 def drawer_scene(tool, opening, way):
     """An open drawer, and a gripper that has ``way`` still to go; the drawer opens along x."""
     cabinet, drawer = (
-        trimesh.util.concatenate([box(part.size, part.centre) for part in parts]) for parts in (CABINET, DRAWER)
+        trimesh.util.concatenate([box(part.size, part.centre) for part in parts])
+        for parts in (LOW_CABINET.body, LOW_CABINET.drawer)
     )
-    place = np.array(DRAWER_JOINT.origin[:3]) + [0.14, 0.0, 0.0]
+    place = np.array(LOW_CABINET.joint.origin[:3]) + [0.14, 0.0, 0.0]
     points = {
         **gripper(tool, opening),
         "cabinet": cloud(cabinet, (0, 0, 0), 4000),
@@ -94,7 +95,7 @@ def drawer_scene(tool, opening, way):
 )
 def test_open_fingers_do_not_fit_beside_a_trays_side(beside, opening, blocked):
     place = (0.1, beside, 0.0)
-    assert TRAY[1][1] == pytest.approx(0.103)  # half its width; an open finger reaches 6.7 cm from the tool
+    assert LOW_CABINET.tray[1][1] == pytest.approx(0.103)  # half its width; an open finger reaches 6.7 cm from the tool
     for tool in (place, (0.0, 0.0, 0.3)):
         told = drawer_scene(tool, opening, np.subtract(place, tool).astype(np.float32).tolist())
         assert (told > 0.9) if blocked else (told == 0.0), told

@@ -6,7 +6,7 @@ import numpy as np
 
 from pwm_gym.scene import Scene
 from pwm_gym.scene.poses import compose
-from pwm_gym.sim.cabinet import PLACE
+from pwm_gym.sim.cabinets import LOW_CABINET
 from pwm_gym.sim.mugs import get_mug
 from pwm_gym.tasks import get_task
 
@@ -34,6 +34,6 @@ def pulled(scene, opening, speed=0.0):
 def put_in(scene):
     """The scene with its mug standing in the drawer."""
     poses, mug = scene.poses.copy(), get_mug(scene.assets[MUG_AT])
-    place = np.r_[PLACE[:2], PLACE[2] + 0.5 * mug.height, 1, 0, 0, 0]
+    place = np.r_[LOW_CABINET.place[:2], LOW_CABINET.place[2] + 0.5 * mug.height, 1, 0, 0, 0]
     poses[:, MUG_AT] = compose(poses[0, DRAWER_AT], place)
     return replace(scene, poses=poses)

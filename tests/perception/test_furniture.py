@@ -16,7 +16,7 @@ from pwm_gym.perception.segmenters import IdSegmenter
 from pwm_gym.robots.joints import JointTree
 from pwm_gym.scene import Joint, Layout, sample_clouds
 from pwm_gym.scene.se3 import matrix_from_pose7
-from pwm_gym.sim.cabinet import STROKE
+from pwm_gym.sim.cabinets import LOW_CABINET
 from pwm_gym.tasks import get_task
 
 TREE = JointTree(TASK.layout, [DRAWER_AT])
@@ -45,7 +45,7 @@ def off(scene, truth, name):
     return np.linalg.norm(found[0] - found[1], axis=-1).mean()
 
 
-@pytest.mark.parametrize("amount", [0.0, 0.06, STROKE])
+@pytest.mark.parametrize("amount", [0.0, 0.06, LOW_CABINET.stroke])
 def test_the_first_view_tells_where_the_cabinet_stands_and_how_far_it_is_open(world, amount):
     scene, observer = world
     truth = pulled(scene, amount)

@@ -13,7 +13,7 @@ from pwm_gym.robots.joints import JointTree
 from pwm_gym.scene import Scene, sample_clouds
 from pwm_gym.scene.poses import compose
 from pwm_gym.scene.se3 import matrix_from_pose7
-from pwm_gym.sim.cabinet import CABINET, DRAWER, STROKE
+from pwm_gym.sim.cabinets import LOW_CABINET
 from pwm_gym.sim.coffee_machine import LID, LID_JOINT, MACHINE, OPEN_ANGLE, POD
 from pwm_gym.sim.mugs import MUGS, get_mug
 from pwm_gym.sim.shapes import Box
@@ -39,7 +39,7 @@ def joint(simulator, name="cabinet"):
     return float(articulation.qpos[0, 0]), float(articulation.qvel[0, 0]) / base.control_freq
 
 
-@pytest.mark.parametrize("amount", [0.0, 0.07, STROKE])
+@pytest.mark.parametrize("amount", [0.0, 0.07, LOW_CABINET.stroke])
 def test_a_drawer_is_restored_from_its_pose(mug_simulator, amount):
     mug_simulator.reset(1)
     scene = pulled(scene_of(mug_simulator), amount)
@@ -63,13 +63,13 @@ def test_a_drawer_goes_on_as_fast_as_its_poses_tell(mug_simulator):
 def test_a_drawer_stays_within_its_limits(mug_simulator):
     mug_simulator.reset(1)
     scene = scene_of(mug_simulator)
-    for start, speed in ((0.01, -0.02), (STROKE - 0.01, 0.02)):
+    for start, speed in ((0.01, -0.02), (LOW_CABINET.stroke - 0.01, 0.02)):
         mug_simulator.restore(pulled(scene, start, speed))
         found = [(mug_simulator.step(REST), opening(mug_simulator))[1] for _ in range(5)]
-        assert min(found) > -1e-3 and max(found) < STROKE + 1e-3
+        assert min(found) > -1e-3 and max(found) < LOW_CABINET.stroke + 1e-3
 
 
-@pytest.mark.parametrize("amount", [-0.02, STROKE + 0.02])
+@pytest.mark.parametrize("amount", [-0.02, LOW_CABINET.stroke + 0.02])
 def test_a_scene_with_a_joint_beyond_its_limits_is_refused(mug_simulator, amount):
     mug_simulator.reset(1)
     with pytest.raises(SceneError, match=r"joint of 'drawer' is at .*; expected 0\.0000 to 0\.1600"):
@@ -145,7 +145,9 @@ def test_clouds_lie_on_outer_surfaces(mug_simulator, coffee_simulator):
     """Where boxes overlap, none of their hidden faces is sampled."""
     mug_simulator.reset(3)
     mug = get_mug(mug_simulator.assets()[MUG_AT])
-    check_surfaces(mug_simulator, TASK.layout, {"cabinet": CABINET, "drawer": DRAWER, "mug": mug.shapes()})
+    check_surfaces(
+        mug_simulator, TASK.layout, {"cabinet": LOW_CABINET.body, "drawer": LOW_CABINET.drawer, "mug": mug.shapes()}
+    )
     check_surfaces(coffee_simulator, COFFEE.layout, {"machine": MACHINE, "lid": LID, "pod": POD})
 
 

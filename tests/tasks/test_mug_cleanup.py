@@ -11,7 +11,7 @@ from pwm_gym.costs import cost_info, drawers, get_cost, get_grasp, get_success
 from pwm_gym.errors import PwmGymError, UnknownNameError
 from pwm_gym.scene import batch_state
 from pwm_gym.seeds import seed_range
-from pwm_gym.sim.cabinet import STROKE
+from pwm_gym.sim.cabinets import LOW_CABINET
 from pwm_gym.sim.mugs import MUGS, get_mug
 from pwm_gym.skills.mug_grips import fits_body
 from pwm_gym.tasks import get_task
@@ -37,7 +37,7 @@ def test_the_experts_episode_opens_the_drawer_and_shuts_it(episode):
     scenes, _, outcomes = episode
     assert outcomes[-1].success and 180 < len(outcomes) < 360
     way = true_openings(scenes)
-    assert way.max() > 0.14 and way[-1] < 0.008 and way.min() > -1e-3 and way.max() < STROKE + 1e-3
+    assert way.max() > 0.14 and way[-1] < 0.008 and way.min() > -1e-3 and way.max() < LOW_CABINET.stroke + 1e-3
 
 
 @pytest.mark.parametrize(

@@ -24,8 +24,9 @@ from pwm_gym.robots.control import Arm
 from pwm_gym.robots.solver import ArmSolver
 from pwm_gym.robots.two_hands import DRIVEN, JOINT_NAMES, REST, SIDES, TWO_HANDS
 from pwm_gym.robots.two_hands_urdf import urdf_file
+from pwm_gym.sim.maniskill.adapter import ManiSkillSimulator
 
-__all__ = ["TwoHandsAgent", "TwoHandsController", "TwoHandsControllerConfig"]
+__all__ = ["TwoHandsAgent", "TwoHandsController", "TwoHandsControllerConfig", "two_hands_simulator"]
 
 _ARM_DRIVE = (1000.0, 100.0, 100.0)  # stiffness, damping, largest torque: as ManiSkill drives a Panda
 _FINGER_DRIVE = (150.0, 10.0, 15.0)
@@ -144,7 +145,9 @@ class TwoHandsAgent(BaseAgent):
     def _load_articulation(self, initial_pose: Any = None) -> None:
         loader = self.scene.create_urdf_loader()
         loader.name, loader.fix_root_link = self.uid, True
-        links = {name: {"material": "hand", "patch_radius": _PATCH, "min_patch_radius": _PATCH} for name in _hand()}
+        links = {
+            name: {"material": "hand", "patch_radius": _PATCH, "min_patch_radius": _PATCH} for name in TWO_HANDS.links
+        }
         hand = {"static_friction": _FRICTION, "dynamic_friction": _FRICTION, "restitution": 0.0}
         sapien_utils.apply_urdf_config(
             loader, sapien_utils.parse_urdf_config({"_materials": {"hand": hand}, "link": links})
@@ -175,5 +178,17 @@ class TwoHandsAgent(BaseAgent):
         return torch.tensor([fastest <= threshold])
 
 
-def _hand() -> Mapping[str, str]:
-    return TWO_HANDS.links
+def two_hands_simulator(task: str, bodies: Mapping[str, str]) -> ManiSkillSimulator:
+    """A ManiSkill task of two arms.
+
+    Args:
+        task: its id.
+        bodies: entity -> actor or articulation's link, of all that is not the robot's.
+    """
+    return ManiSkillSimulator(
+        task,
+        {**TWO_HANDS.links, **bodies},
+        control=TWO_HANDS.control,
+        robot_uids=TWO_HANDS.name,
+        joint_names=JOINT_NAMES,
+    )

@@ -9,7 +9,7 @@ import torch
 from mani_skill.utils.registration import register_env
 from mani_skill.utils.structs import Pose
 
-from pwm_gym.sim.cabinet import CABINET_HALF, DRAWER_JOINT, HANDLE, OPENED, PLACE, STROKE
+from pwm_gym.sim.cabinets import LOW_CABINET
 from pwm_gym.sim.coffee_machine import HOLDER_FLOOR, MUG_AHEAD, OPEN_ANGLE, POD_HEIGHT, SEATED, SHUT_ANGLE
 from pwm_gym.sim.maniskill.scenes.common import MugTableEnv, nearness
 from pwm_gym.sim.maniskill.scenes.parts import (
@@ -59,14 +59,14 @@ class CoffeePreparationEnv(MugTableEnv):
     def _place_objects(self, env_idx: torch.Tensor) -> None:
         count = len(env_idx)
         put_articulation(self.machine, (*_MACHINE, 0.0), _SPREAD, OPEN_ANGLE, count)
-        put_articulation(self.cabinet, (*_CABINET, CABINET_HALF[2]), _SPREAD, 0.0, count)
+        put_articulation(self.cabinet, (*_CABINET, LOW_CABINET.half[2]), _SPREAD, 0.0, count)
         self.mug.set_pose(random_places(_MUG_FROM, _MUG_TO, self.mug_half[env_idx]))
         self.pod.set_pose(self.cabinet.pose * Pose.create_from_pq(self._in_tray(count)))
 
     def _in_tray(self, count: int) -> torch.Tensor:
         """Where (B, 3) pods stand in shut drawers, in the cabinets' frames."""
-        x, y, floor = PLACE
-        middle = torch.tensor([x, y, floor + DRAWER_JOINT.origin[2] + 0.5 * POD_HEIGHT])
+        x, y, floor = LOW_CABINET.place
+        middle = torch.tensor([x, y, floor + LOW_CABINET.joint.origin[2] + 0.5 * POD_HEIGHT])
         return middle + (2 * torch.rand((count, 3)) - 1) * torch.tensor([*_POD_SPREAD, 0.0])
 
     def _seat(self) -> torch.Tensor:
@@ -117,14 +117,14 @@ class CoffeePreparationEnv(MugTableEnv):
         mug, pod = self.mug.pose.p, self.pod.pose.p
         reward = nearness(tool, mug) + held * (1.0 + nearness(mug, self._stand()))
 
-        handle = (self.drawer.pose * sapien.Pose(HANDLE)).p
-        opened = (info["opening"] / STROKE).clamp(0.0, 1.0)
+        handle = (self.drawer.pose * sapien.Pose(LOW_CABINET.handle)).p
+        opened = (info["opening"] / LOW_CABINET.stroke).clamp(0.0, 1.0)
         stands = info["is_mug_at_machine"]
         reward = torch.where(stands, 3.0 + (1.0 - held) * (nearness(tool, handle) + opened), reward)
 
         held = info["is_grasped"].float()
         put_in = 5.0 + nearness(tool, pod) + held * (1.0 + nearness(pod, self._seat()))
-        reward = torch.where(stands & (info["opening"] >= OPENED), put_in, reward)
+        reward = torch.where(stands & (info["opening"] >= LOW_CABINET.opened), put_in, reward)
 
         shut = 1.0 - (info["angle"] / OPEN_ANGLE).clamp(0.0, 1.0)
         shutting = 8.0 + (1.0 - held) * (0.5 + 1.5 * shut)

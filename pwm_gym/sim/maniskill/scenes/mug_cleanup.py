@@ -9,7 +9,7 @@ import sapien
 import torch
 from mani_skill.utils.registration import register_env
 
-from pwm_gym.sim.cabinet import CABINET_HALF, HANDLE, OPENED, PLACE, STROKE, TRAY, TRAY_FLOOR
+from pwm_gym.sim.cabinets import LOW_CABINET
 from pwm_gym.sim.maniskill.scenes.common import MugTableEnv, nearness
 from pwm_gym.sim.maniskill.scenes.parts import build_cabinet, build_mugs, put_articulation, random_places
 from pwm_gym.sim.mugs import MUGS, get_mug
@@ -46,7 +46,7 @@ class MugCleanupEnv(MugTableEnv):
         self.mug = build_mugs(self, self.mug_names, _MUG_FROM)
 
     def _place_objects(self, env_idx: torch.Tensor) -> None:
-        place = (*_CABINET, CABINET_HALF[2])
+        place = (*_CABINET, LOW_CABINET.half[2])
         put_articulation(self.cabinet, place, _CABINET_SPREAD, 0.0, len(env_idx))
         self.mug.set_pose(random_places(_MUG_FROM, _MUG_TO, self.mug_half[env_idx]))
 
@@ -57,9 +57,9 @@ class MugCleanupEnv(MugTableEnv):
     def evaluate(self) -> dict[str, torch.Tensor]:
         """Whether the mug is in the drawer, how far this is open, and success."""
         offset = (self.drawer.pose.inv() * self.mug.pose).p  # (B, 3), in the drawer's frame
-        low, high = torch.tensor(TRAY, device=self.device)
+        low, high = torch.tensor(LOW_CABINET.tray, device=self.device)
         within = ((offset[:, :2] >= low + _EDGE) & (offset[:, :2] <= high - _EDGE)).all(-1)
-        inside = within & (offset[:, 2] - self.mug_half - TRAY_FLOOR <= _IN_TRAY)
+        inside = within & (offset[:, 2] - self.mug_half - LOW_CABINET.tray_floor <= _IN_TRAY)
         opening = self.cabinet.qpos[:, 0]
         grasped = self.agent.is_grasping(self.mug)
         static = self.agent.is_static(_STATIC)
@@ -82,14 +82,15 @@ class MugCleanupEnv(MugTableEnv):
     def compute_dense_reward(self, obs: Any, action: torch.Tensor, info: dict[str, torch.Tensor]) -> torch.Tensor:
         """Shaped reward (B,) from 0 to 8: open (to 2), put the mug in (to 5), shut (to 7), success."""
         tool = self.agent.tcp_pos
-        reach_handle = nearness(tool, self._in_drawer(HANDLE))
-        opened = (info["opening"] / STROKE).clamp(0.0, 1.0)
+        reach_handle = nearness(tool, self._in_drawer(LOW_CABINET.handle))
+        opened = (info["opening"] / LOW_CABINET.stroke).clamp(0.0, 1.0)
         reward = reach_handle + opened
 
         held = info["is_grasped"].float()
-        place = self._in_drawer(PLACE) + torch.stack([0 * self.mug_half, 0 * self.mug_half, self.mug_half], -1)
+        raised = torch.stack([0 * self.mug_half, 0 * self.mug_half, self.mug_half], -1)
+        place = self._in_drawer(LOW_CABINET.place) + raised
         put_in = 2.0 + nearness(tool, self.mug.pose.p) + held * (1.0 + nearness(self.mug.pose.p, place))
-        reward = torch.where(info["opening"] >= OPENED, put_in, reward)
+        reward = torch.where(info["opening"] >= LOW_CABINET.opened, put_in, reward)
 
         shut = 5.0 + (1.0 - held) * (0.5 + 0.5 * reach_handle + 1.0 - opened)
         reward = torch.where(info["is_mug_inside"], shut, reward)

@@ -11,7 +11,7 @@ import torch
 from mani_skill.utils.structs import Actor, Pose
 
 from pwm_gym.scene.joint import Joint
-from pwm_gym.sim import cabinet
+from pwm_gym.sim.cabinets import LOW_CABINET, Cabinet
 from pwm_gym.sim.coffee_machine import LID, LID_JOINT, MACHINE, POD, POD_HEIGHT
 from pwm_gym.sim.maniskill.build import add_shapes
 from pwm_gym.sim.maniskill.scenes.common import about_z
@@ -33,27 +33,25 @@ _WOOD, _RED = (0.55, 0.40, 0.26, 1.0), (0.75, 0.15, 0.12, 1.0)
 _GREY, _WHITE, _BROWN = (0.3, 0.3, 0.32, 1.0), (0.85, 0.85, 0.85, 1.0), (0.35, 0.2, 0.1, 1.0)
 
 
-def build_cabinet(scene: Any, place: tuple[float, float], model: Any = cabinet) -> Any:
+def build_cabinet(scene: Any, place: tuple[float, float], model: Cabinet = LOW_CABINET) -> Any:
     """Articulation ``cabinet`` with its ``drawer``, which faces the robot at a place in the plane.
 
     Args:
         scene: to build it in.
         place: of its middle.
-        model: module with its boxes and its joint.
+        model: its boxes and its joint.
     """
     builder = scene.create_articulation_builder()
     body = builder.create_link_builder()
     body.set_name("cabinet")
-    add_shapes(body, model.CABINET, _WOOD)
+    add_shapes(body, model.body, _WOOD)
     drawer = builder.create_link_builder(body)
     drawer.set_name("drawer")
     drawer.set_joint_name("slide")
-    origin = sapien.Pose(model.DRAWER_JOINT.origin[:3])  # SAPIEN's joints slide along x, as this one does
-    drawer.set_joint_properties(
-        "prismatic", _limits(model.DRAWER_JOINT), origin, sapien.Pose(), damping=_DRAWER_DAMPING
-    )
-    add_shapes(drawer, model.DRAWER, _WOOD, density=400.0)
-    builder.initial_pose = sapien.Pose([*place, model.CABINET_HALF[2]], [0.0, 0.0, 0.0, 1.0])
+    origin = sapien.Pose(model.joint.origin[:3])  # SAPIEN's joints slide along x, as this one does
+    drawer.set_joint_properties("prismatic", _limits(model.joint), origin, sapien.Pose(), damping=_DRAWER_DAMPING)
+    add_shapes(drawer, model.drawer, _WOOD, density=400.0)
+    builder.initial_pose = sapien.Pose([*place, model.half[2]], [0.0, 0.0, 0.0, 1.0])
     built = builder.build(name="cabinet", fix_root_link=True)
     built.active_joints[0].set_friction(_DRAWER_FRICTION)
     return built

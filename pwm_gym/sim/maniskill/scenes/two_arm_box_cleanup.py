@@ -10,7 +10,7 @@ import torch
 from mani_skill.utils.registration import register_env
 
 from pwm_gym.robots.two_hands import FACE, SIDES, SIGN
-from pwm_gym.sim.lidded_box import BOX, BOX_HALF, LID, LID_HALF, ON_BOX
+from pwm_gym.sim.lidded_box import BESIDE, BOX, BOX_HALF, GRIP_HEIGHT, LID, LID_HALF, ON_BOX, PRESSED
 from pwm_gym.sim.maniskill.build import add_shapes
 from pwm_gym.sim.maniskill.scenes.common import TwoHandsTableEnv, native_pose, near
 from pwm_gym.sim.maniskill.scenes.parts import near_places
@@ -21,12 +21,8 @@ _LID, _BOX = (-0.03, 0.0), (0.24, 0.0)  # where they stand, in the plane
 _LID_SPREAD, _BOX_SPREAD = (0.03, 0.03, 0.15), (0.015, 0.03, 0.10)  # x, y and yaw, to either side
 _LID_DENSITY, _BOX_DENSITY = 180.0, 700.0
 _GREY, _BLUE = (0.45, 0.47, 0.5, 1.0), (0.2, 0.35, 0.7, 1.0)
-GRIP_HEIGHT = 0.024
-"""Of the tools over the lid's middle, where they hold it."""
-PRESSED, RELEASED = (-0.010, 0.006), 0.020
-"""Gaps between a hand and the lid's side, metres: it holds the lid, and has left it."""
-BESIDE = 0.06
-"""Of the tool over or under the lid's middle, metres: the hand is beside the lid."""
+RELEASED = 0.020
+"""Gap between a hand and the lid's side, metres, from which it has left the lid."""
 SEATED = (0.013, 0.005, 0.06)
 """Beside and over the lid's place on the box, metres, and its tilt, radians: it is on the box."""
 _STATIC = 0.2  # rad/s

@@ -9,12 +9,12 @@ import sapien
 import torch
 from mani_skill.utils.registration import register_env
 
-from pwm_gym.robots.two_hands import FACE, SIDES, SIGN, TOOL, boxes
-from pwm_gym.sim import deep_cabinet
-from pwm_gym.sim.deep_cabinet import CABINET_HALF, HANDLE, MUG, OPENED, PLACE, STROKE, TRAY, TRAY_FLOOR
+from pwm_gym.robots.two_hands import AMID, FACE, HELD, SIDES, SIGN, TOOL, boxes
+from pwm_gym.sim.cabinets import DEEP_CABINET
 from pwm_gym.sim.maniskill.build import add_shapes
 from pwm_gym.sim.maniskill.scenes.common import TwoHandsTableEnv, native_pose, near
 from pwm_gym.sim.maniskill.scenes.parts import build_cabinet, near_places, put_articulation
+from pwm_gym.sim.mugs import TALL_MUG
 
 __all__ = ["TwoArmDrawerCleanupEnv"]
 
@@ -24,10 +24,6 @@ _MUG_DENSITY = 500.0
 _RED = (0.75, 0.15, 0.12, 1.0)
 _SHUT, _IN_TRAY, _EDGE = 0.008, 0.014, 0.025
 _STATIC = 0.2  # rad/s
-FINGERS, THUMB = (-0.012, 0.007), (-0.012, 0.005)
-"""Gaps to the mug, metres, of fingers and of a thumb that hold it."""
-AMID = (0.035, 0.06)
-"""Of the tool beside the mug's axis along the knuckles, and over or under its middle, metres: the hand is about it."""
 
 
 @register_env("TwoArmDrawerCleanup-v1", max_episode_steps=400)
@@ -46,16 +42,16 @@ class TwoArmDrawerCleanupEnv(TwoHandsTableEnv):
 
     def _load_scene(self, options: dict[str, Any]) -> None:
         super()._load_scene(options)
-        self.cabinet = build_cabinet(self.scene, _CABINET, deep_cabinet)
+        self.cabinet = build_cabinet(self.scene, _CABINET, DEEP_CABINET)
         self.drawer = self.cabinet.links_map["drawer"]
         builder = self.scene.create_actor_builder()
-        add_shapes(builder, MUG.shapes(), _RED, _MUG_DENSITY)
-        builder.initial_pose = sapien.Pose([*_MUG, 0.5 * MUG.height])
+        add_shapes(builder, TALL_MUG.shapes(), _RED, _MUG_DENSITY)
+        builder.initial_pose = sapien.Pose([*_MUG, 0.5 * TALL_MUG.height])
         self.mug = builder.build(name="mug")
 
     def _place_objects(self, env_idx: torch.Tensor) -> None:
-        put_articulation(self.cabinet, (*_CABINET, CABINET_HALF[2]), _CABINET_SPREAD, 0.0, len(env_idx))
-        self.mug.set_pose(near_places((*_MUG, 0.5 * MUG.height), _MUG_SPREAD, len(env_idx)))
+        put_articulation(self.cabinet, (*_CABINET, DEEP_CABINET.half[2]), _CABINET_SPREAD, 0.0, len(env_idx))
+        self.mug.set_pose(near_places((*_MUG, 0.5 * TALL_MUG.height), _MUG_SPREAD, len(env_idx)))
 
     def _holds(self, side: str, mug: sapien.Pose) -> bool:
         """Whether fingers and thumb of one hand touch the mug between them."""
@@ -64,17 +60,17 @@ class TwoArmDrawerCleanupEnv(TwoHandsTableEnv):
         thumb = palm.inv() * native_pose(self.agent.robot.links_map[f"{side}_thumb_2"])
         size, _ = boxes(f"{side}_thumb_2")[0]
         inner = [(thumb * sapien.Pose([0.0, -0.5 * SIGN[side] * size[1], h * size[2]])).p[0] for h in (0.3, 0.6, 1.0)]
-        gaps = x - MUG.radius - FACE, min(inner) - TOOL[0] - x - MUG.radius
-        touching = FINGERS[0] <= gaps[0] <= FINGERS[1] and THUMB[0] <= gaps[1] <= THUMB[1]
+        gaps = x - TALL_MUG.radius - FACE, min(inner) - TOOL[0] - x - TALL_MUG.radius
+        touching = all(low <= gap <= high for gap, (low, high) in zip(gaps, HELD, strict=True))
         return bool(touching and abs(y) <= AMID[0] and abs(z) <= AMID[1])
 
     def evaluate(self) -> dict[str, torch.Tensor]:
         """Whether the mug is in the drawer, how far this is open, and success."""
         drawer, mug = native_pose(self.drawer), native_pose(self.mug)
         offset = (drawer.inv() * mug).p
-        low, high = np.array(TRAY)
+        low, high = np.array(DEEP_CABINET.tray)
         within = bool(((offset[:2] >= low + _EDGE) & (offset[:2] <= high - _EDGE)).all())
-        inside = within and offset[2] - 0.5 * MUG.height - TRAY_FLOOR <= _IN_TRAY
+        inside = within and offset[2] - 0.5 * TALL_MUG.height - DEEP_CABINET.tray_floor <= _IN_TRAY
         opening = float(self.cabinet._objs[0].qpos[0])
         grasped = any(self._holds(side, mug) for side in SIDES)
         static = bool(self.agent.is_static(_STATIC)[0])
@@ -101,12 +97,12 @@ class TwoArmDrawerCleanupEnv(TwoHandsTableEnv):
             return torch.tensor([self.whole])
         drawer, mug = native_pose(self.drawer), native_pose(self.mug)
         held, opening = float(info["is_grasped"]), float(info["opening"])
-        reach_handle = near(self.tool("left").p, (drawer * sapien.Pose(HANDLE)).p)
-        opened = min(max(opening / STROKE, 0.0), 1.0)
+        reach_handle = near(self.tool("left").p, (drawer * sapien.Pose(DEEP_CABINET.handle)).p)
+        opened = min(max(opening / DEEP_CABINET.stroke, 0.0), 1.0)
         if info["is_mug_inside"]:
             reward = 5.0 + (1.0 - held) * (1.5 + 0.5 * reach_handle - opened)
-        elif opening >= OPENED:
-            place = (drawer * sapien.Pose(PLACE)).p + [0.0, 0.0, 0.5 * MUG.height]
+        elif opening >= DEEP_CABINET.opened:
+            place = (drawer * sapien.Pose(DEEP_CABINET.place)).p + [0.0, 0.0, 0.5 * TALL_MUG.height]
             reward = 2.0 + near(self.tool("right").p, mug.p) + held * (1.0 + near(mug.p, place))
         else:
             reward = reach_handle + opened
