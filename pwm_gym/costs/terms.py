@@ -1,7 +1,8 @@
 """Shared terms of costs: each function here makes a term, ``(points, info) -> (B,)``, for the entities it names.
 
 The first ones are a simulator's shaped rewards; they lie in [0, 1], and a task gives them negative weights. The others
-are what planners descend: a grasp from above that cannot be fooled in a model, a carry, a release.
+are what planners descend: a grasp from above that cannot be fooled in a model, a carry. What sets an object down is in
+:mod:`.placing`.
 
 Example:
     >>> from pwm_gym.costs import register_terms, terms
@@ -28,13 +29,11 @@ __all__ = [
     "approach",
     "at_rest",
     "carry",
-    "carry_onto",
     "centre",
     "closeness",
     "disturbance",
     "effort",
     "finger_blocking",
-    "finished",
     "goal_position",
     "grasped",
     "ground_contact",
@@ -49,9 +48,7 @@ __all__ = [
     "place",
     "premature_close",
     "reach",
-    "released",
     "resting_on",
-    "retreat",
     "settle",
     "still",
     "tilt",
@@ -328,22 +325,6 @@ def settle(name: str, target: Place, arm: JointSpeeds, limit: float) -> Term:
     return term
 
 
-def carry_onto(name: str, target: Place, clearance: float = 0.02) -> Term:
-    """As :func:`carry`, up to 5, by a way from above: lifted first, over the place, then lowered.
-
-    Args:
-        name: the object.
-        target: the place where it shall stand.
-        clearance: height over the place, metres, that it has to have 4.5 cm beside it; it falls to 0 above the place.
-    """
-
-    def term(points: Points, info: Info) -> Tensor:
-        way = way_from_above(contacts.centre(points, name) - target(points, info), clearance)
-        return contacts.firmness(points, info["action"], name) * closeness(way, 5.0, 0.45)
-
-    return term
-
-
 def way_from_above(offset: Tensor, clearance: float, within: float = 0.005, slope: float = 0.04) -> Tensor:
     """Length (B,) of a way that comes to a place from above, metres: up, over it, and down, wherever one begins.
 
@@ -356,49 +337,3 @@ def way_from_above(offset: Tensor, clearance: float, within: float = 0.005, slop
     beside, height = offset[..., :2].norm(dim=-1), offset[..., 2]
     needed = clearance * ((beside - within) / slope).clamp(0, 1)
     return beside + _DOWN * height.abs() + (_UP + _DOWN) * (needed - height).clamp_min(0)
-
-
-def _set_down(name: str, target: Place) -> Term:
-    """Soft bool (B,): the object stands at its place, and hardly moves."""
-
-    def term(points: Points, info: Info) -> Tensor:
-        offset = contacts.centre(points, name) - target(points, info)
-        there = torch.sigmoid((0.014 - offset[..., :2].norm(dim=-1)) / 0.002)
-        down = torch.sigmoid((0.0035 - offset[..., 2].abs()) / 0.0005)
-        slow = torch.sigmoid((0.002 - speed(info["velocity"], name)) / 0.0005)
-        return there * down * slow
-
-    return term
-
-
-def released(name: str, target: Place) -> Term:
-    """An object set down at its place with no command to hold it: up to 7.5, from 6 while the fingers still touch it.
-
-    Always more than :func:`carry_onto` gives for holding it there, so that opening the fingers pays at once.
-    """
-    set_down = _set_down(name, target)
-
-    def term(points: Points, info: Info) -> Tensor:
-        opened = (contacts.finger_gaps(points, name).amin(-1) / 0.01).clamp(0, 1)
-        free = info["action"][..., -1] >= 0
-        return set_down(points, info) * free * (6.0 + 1.5 * opened)
-
-    return term
-
-
-def finished(name: str, target: Place) -> Term:
-    """Soft bool (B,): the object stands at its place and the gripper is commanded open."""
-    set_down = _set_down(name, target)
-    return lambda points, info: set_down(points, info) * (info["action"][..., -1] >= 0)
-
-
-def retreat(name: str, target: Place, height: float = 0.06) -> Term:
-    """Distance of the tool, in units of ``height``, from ``height`` metres over an object that stands released."""
-    rule = finished(name, target)
-    above = on_top(name, height)
-
-    def term(points: Points, info: Info) -> Tensor:
-        distance = (above(points, info) - contacts.tool_centre(points)).norm(dim=-1)
-        return rule(points, info) * (distance / height).clamp_max(2.0)
-
-    return term

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from torch import Tensor
 
-from pwm_gym.costs import Points, register_grasp, register_success, register_terms, shaped, terms
+from pwm_gym.costs import Points, placing, register_grasp, register_success, register_terms, shaped, terms
 from pwm_gym.robots.panda import PANDA, layout
 from pwm_gym.sim import Simulator
 from pwm_gym.skills import Place, TopGrasp
@@ -48,7 +48,7 @@ register_terms(  # minus ManiSkill's normalised shaped reward, whose stages repl
         }
     ),
 )
-_finished = terms.finished("cube_a", _ON_B)
+_finished = placing.finished("cube_a", _ON_B)
 register_terms(
     "stack_cube_plan",  # reach from above with open fingers, pinch, lift, carry over cube B, lower, release, retreat
     {
@@ -60,9 +60,9 @@ register_terms(
         "effort": (1.0, terms.effort),
         "disturbance": (0.5, terms.disturbance("cube_a")),
         "disturbance_b": (0.5, terms.disturbance("cube_b", held=False)),
-        "carry": (-2.0, terms.carry_onto("cube_a", _ON_B)),
-        "released": (-2.0, terms.released("cube_a", _ON_B)),
-        "retreat": (0.5, terms.retreat("cube_a", _ON_B)),
+        "carry": (-2.0, placing.carry_onto("cube_a", _ON_B)),
+        "released": (-2.0, placing.released("cube_a", _ON_B)),
+        "retreat": (0.5, placing.retreat("cube_a", _ON_B)),
     },
 )
 
