@@ -53,6 +53,7 @@ class ArmKinematics(nn.Module):
             "damping": _DAMPING * torch.eye(6),
             "bounds": torch.tensor(arm.bounds or ((-torch.inf,) * 3, (torch.inf,) * 3)),
         }
+        self._bounded = arm.bounds is not None
         for name, value in tables.items():
             self.register_buffer(name, value.float(), persistent=False)
 
@@ -128,8 +129,10 @@ class ArmKinematics(nn.Module):
             rotation = x @ y @ z @ rotation
         if yaw is not None:
             rotation = _downward(rotation, yaw)
-        lower, upper = self.bounds.to(hand)
-        tool = torch.minimum(torch.maximum(self._tool(hand)[..., :3, 3] + translation, lower), upper)
+        tool = self._tool(hand)[..., :3, 3] + translation
+        if self._bounded:
+            lower, upper = self.bounds.to(hand)
+            tool = torch.minimum(torch.maximum(tool, lower), upper)
         return make_pose(rotation, tool - rotation @ self.tool.to(hand))
 
     def limit(self, joints: Tensor) -> Tensor:

@@ -11,10 +11,10 @@ from scipy.spatial.transform import Rotation
 
 from pwm_gym.errors import PwmGymError
 from pwm_gym.robots.ur5e import opening, tool_pose
+from pwm_gym.sim.mujoco.ogbench import WIDTH
 
 __all__ = ["CubeOracle"]
 
-_WIDTH = 0.04  # metres: a cube's side
 _TOUCH = 0.004  # metres by which the pads may be farther apart and count as touching
 _HELD = 0.03  # metres from the tool within which a cube is between the pads
 _THERE = 0.02  # metres from its goal within which the oracle lets a cube go
@@ -50,7 +50,7 @@ class CubeOracle:
         """What the oracle reads of OGBench's environment."""
         tool = tool_pose(poses)
         places = poses[list(self.cubes), :3]
-        stopped = opening(poses) < _WIDTH + _TOUCH
+        stopped = opening(poses) < WIDTH + _TOUCH
         held = stopped & (np.linalg.norm(places - tool[:3], axis=1) < _HELD)
         targets = self._targets(places, goals)
         which = self._which(places, targets, goals, held, tool[:3])

@@ -11,6 +11,7 @@ import numpy as np
 from pwm_gym.robots.fetch import FETCH, TABLE_HEIGHT, opening
 from pwm_gym.sim.mujoco.adapter import MujocoSimulator
 from pwm_gym.sim.mujoco.worlds import RoboticsWorld
+from pwm_gym.sim.nearness import near
 from pwm_gym.sim.protocol import SimOutcome
 
 __all__ = ["GOAL_RADIUS", "OBJECT", "Instant", "fetch_simulator"]
@@ -40,12 +41,12 @@ class Instant:
     @property
     def reach(self) -> float:
         """Nearness of the tool to the object: 1 - tanh(5 d) at ``d`` metres."""
-        return float(1.0 - np.tanh(5.0 * np.linalg.norm(self.tool - self.object)))
+        return near(self.tool, self.object)
 
     @property
     def place(self) -> float:
         """Nearness of the object to the goal: 1 - tanh(5 d) at ``d`` metres."""
-        return float(1.0 - np.tanh(5.0 * np.linalg.norm(self.object - self.goal)))
+        return near(self.object, self.goal)
 
     @property
     def pushed(self) -> float:

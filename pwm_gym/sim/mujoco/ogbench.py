@@ -12,6 +12,7 @@ import numpy as np
 from pwm_gym.errors import PwmGymError, unknown_name
 from pwm_gym.robots.ur5e import UR5E, opening, tool_pose
 from pwm_gym.sim.mujoco.adapter import MujocoSimulator
+from pwm_gym.sim.nearness import near
 from pwm_gym.sim.protocol import SimOutcome
 
 __all__ = ["GOAL_RADIUS", "STARTS", "WIDTH", "CubeWorld", "cube_simulator"]
@@ -164,8 +165,8 @@ def cube_simulator(cubes: Sequence[str], starts: str = STARTS[0]) -> MujocoSimul
         if there.all():
             return SimOutcome(1.0, True, any(held))
         k = int(np.lexsort((goals[:, 2].round(3), there))[0])  # the next one: not there, its goal the lowest
-        reach = _nearness(tool_pose(simulator.poses())[:3] - places[k])
-        reward = 4.0 * there.sum() + reach + held[k] * (1.0 + _nearness(places[k] - goals[k]))
+        reach = near(tool_pose(simulator.poses())[:3], places[k])
+        reward = 4.0 * there.sum() + reach + held[k] * (1.0 + near(places[k], goals[k]))
         return SimOutcome(float(reward) / (4.0 * len(cubes)), False, any(held))
 
     bodies = {**UR5E.links, **{name: f"object_{k}" for k, name in enumerate(cubes)}}
@@ -176,8 +177,3 @@ def _held(simulator: MujocoSimulator, name: str) -> bool:
     """Whether both fingers touch a cube, and are not shut."""
     touched = all(simulator.touching(finger, name) for finger in ("left_gripper", "right_gripper"))
     return touched and opening(simulator.poses()) > 0.5 * WIDTH
-
-
-def _nearness(way: np.ndarray) -> float:
-    """1 at a way (3,) of no length, 1 - tanh(5 d) at ``d`` metres."""
-    return float(1.0 - np.tanh(5.0 * np.linalg.norm(way)))

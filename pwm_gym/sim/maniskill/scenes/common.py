@@ -16,7 +16,7 @@ from pwm_gym.robots.two_hands import JOINT_NAMES, TOOL
 from pwm_gym.sim.maniskill import two_hands  # noqa: F401  (registers the robot)
 from pwm_gym.sim.mugs import MUGS
 
-__all__ = ["MugTableEnv", "TableEnv", "TwoHandsTableEnv", "about_z", "native_pose", "near", "nearness"]
+__all__ = ["MugTableEnv", "TableEnv", "TwoHandsTableEnv", "about_z", "native_pose", "nearness"]
 
 
 class TableEnv(BaseEnv):
@@ -112,11 +112,6 @@ def native_pose(struct: Any) -> sapien.Pose:
     """SAPIEN's pose of a link or an actor of one environment: 25 times faster to read than ManiSkill's tensors."""
     native = struct._objs[0]
     return (native.entity if hasattr(native, "entity") else native).pose
-
-
-def near(a: np.ndarray, b: np.ndarray) -> float:
-    """1 where places (3,) coincide, falling with their distance."""
-    return float(1.0 - np.tanh(5.0 * np.linalg.norm(a - b)))
 
 
 def about_z(angle: torch.Tensor) -> torch.Tensor:

@@ -12,8 +12,9 @@ from mani_skill.utils.registration import register_env
 from pwm_gym.robots.two_hands import FACE, SIDES, SIGN
 from pwm_gym.sim.lidded_box import BESIDE, BOX, BOX_HALF, GRIP_HEIGHT, LID, LID_HALF, ON_BOX, PRESSED
 from pwm_gym.sim.maniskill.build import add_shapes
-from pwm_gym.sim.maniskill.scenes.common import TwoHandsTableEnv, native_pose, near
+from pwm_gym.sim.maniskill.scenes.common import TwoHandsTableEnv, native_pose
 from pwm_gym.sim.maniskill.scenes.parts import near_places
+from pwm_gym.sim.nearness import near
 
 __all__ = ["TwoArmBoxCleanupEnv"]
 

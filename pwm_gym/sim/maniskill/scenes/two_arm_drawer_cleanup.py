@@ -12,9 +12,10 @@ from mani_skill.utils.registration import register_env
 from pwm_gym.robots.two_hands import AMID, FACE, HELD, SIDES, SIGN, TOOL, boxes
 from pwm_gym.sim.cabinets import DEEP_CABINET
 from pwm_gym.sim.maniskill.build import add_shapes
-from pwm_gym.sim.maniskill.scenes.common import TwoHandsTableEnv, native_pose, near
+from pwm_gym.sim.maniskill.scenes.common import TwoHandsTableEnv, native_pose
 from pwm_gym.sim.maniskill.scenes.parts import build_cabinet, near_places, put_articulation
 from pwm_gym.sim.mugs import TALL_MUG
+from pwm_gym.sim.nearness import near
 
 __all__ = ["TwoArmDrawerCleanupEnv"]
 
