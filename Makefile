@@ -6,6 +6,9 @@ SOURCES = pwm_gym_cli.py $(shell find pwm_gym envs wrappers -type f -not -name '
 export OMP_NUM_THREADS ?= 2
 TASK ?= PickCube# of `make demo`
 
+# Files go to the processes in their order, whose last ones are short, so that both processes end together.
+PYTEST = $(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder
+
 .PHONY: demo test test-all coverage lint docs install clean
 
 install: $(VENV)/.package
@@ -33,14 +36,14 @@ lint: $(VENV)/.package
 	cd tests && $(BIN)/mypy --config-file ../pyproject.toml -p pwm_gym
 
 test: lint
-	$(BIN)/pytest -n 2 --dist loadfile
+	$(PYTEST)
 
 test-all: lint
-	$(BIN)/pytest -n 2 --dist loadfile -m 'slow or not slow'
+	$(PYTEST) -m 'slow or not slow'
 
 # Which lines the tests run; not a part of `make test`, which it would slow down.
 coverage: $(VENV)/.package
-	$(BIN)/pytest -n 2 --dist loadfile --cov=pwm_gym --cov-report=term --cov-report=xml
+	$(PYTEST) --cov=pwm_gym --cov-report=term --cov-report=xml
 
 $(VENV)/.docs: $(VENV)/.dependencies
 	$(BIN)/pip install -q --disable-pip-version-check -c constraints.txt '.[docs]'

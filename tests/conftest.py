@@ -107,15 +107,20 @@ def stack_simulator():
     simulator.close()
 
 
+@pytest.fixture(scope="session")
+def shape_cache(tmp_path_factory):
+    """A user's cache of the generated shapes and their grasps, which take seconds to find: each is found once."""
+    return tmp_path_factory.mktemp("assets")
+
+
 @pytest.fixture(scope="module")
-def only_shapes(tmp_path_factory):
+def only_shapes(shape_cache):
     """Folder of the generated shapes, with no YCB objects on this machine."""
     from pwm_gym.assets import generated_assets
 
-    folder = tmp_path_factory.mktemp("assets")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("MS_ASSET_DIR", str(folder / "none"))
-        patch.setenv("XDG_CACHE_HOME", str(folder))
+        patch.setenv("MS_ASSET_DIR", str(shape_cache / "none"))
+        patch.setenv("XDG_CACHE_HOME", str(shape_cache))
         yield generated_assets()
 
 

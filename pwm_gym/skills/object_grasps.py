@@ -226,7 +226,9 @@ def _groups(y: np.ndarray, gap: float) -> list[tuple[float, float, float, float]
     if not len(y):
         return []
     ordered = np.sort(y)
-    breaks = np.flatnonzero(np.diff(ordered) > gap)
+    breaks = np.flatnonzero(ordered[1:] - ordered[:-1] > gap)
+    if not len(breaks):
+        return [(-np.inf, ordered[0], ordered[-1], np.inf)]
     lows = np.concatenate([ordered[:1], ordered[breaks + 1]])
     highs = np.concatenate([ordered[breaks], ordered[-1:]])
     before = np.concatenate([[-np.inf], highs[:-1]])

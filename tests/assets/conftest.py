@@ -1,9 +1,7 @@
 import pytest
 
 
-@pytest.fixture(scope="session")
-def shapes(tmp_path_factory):
+@pytest.fixture(scope="module")
+def shapes(only_shapes):
     """Folder of the generated shapes."""
-    from pwm_gym.assets import generated_assets
-
-    return generated_assets(tmp_path_factory.mktemp("shapes"))
+    return only_shapes

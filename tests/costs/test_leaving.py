@@ -1,5 +1,7 @@
 """Carrying an object, letting it go and leaving it, and reaching into a drawer, which planning costs ask for."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 import torch
@@ -14,6 +16,18 @@ def cloud(mesh, at, count=1500):
     return torch.as_tensor(sample_surface(mesh, count, 0) + np.asarray(at), dtype=torch.float32).unsqueeze(0)
 
 
+@cache
+def box_points(sides, count=400):
+    """Points (1, n, 3) of a box about the origin."""
+    return cloud(trimesh.creation.box(sides), (0.0, 0.0, 0.0), count)
+
+
+@cache
+def solid_points(boxes, count=4000):
+    """Points (1, n, 3) of a solid of boxes."""
+    return cloud(trimesh.util.concatenate([box(part.size, part.centre) for part in boxes]), (0.0, 0.0, 0.0), count)
+
+
 def box(sides, at):
     return trimesh.creation.box(sides, trimesh.transformations.translation_matrix(at))
 
@@ -26,7 +40,10 @@ def gripper(tool, opening=0.08):
         "left_gripper": ((0.02, 0.027, 0.05), (0, half, 0.0201)),
         "right_gripper": ((0.02, 0.027, 0.05), (0, -half, 0.0201)),
     }
-    return {name: cloud(box(sides, at), tool, 400) for name, (sides, at) in parts.items()}
+    return {
+        name: box_points(sides) + torch.tensor(np.add(at, tool), dtype=torch.float32)
+        for name, (sides, at) in parts.items()
+    }
 
 
 MUG = cloud(trimesh.creation.cylinder(0.03, 0.08), (0.5, 0.1, 0.04))
@@ -75,15 +92,11 @@ def test_a_held_object_gains_by_coming_nearer_from_any_distance():
 
 def drawer_scene(tool, opening, way):
     """An open drawer, and a gripper that has ``way`` still to go; the drawer opens along x."""
-    cabinet, drawer = (
-        trimesh.util.concatenate([box(part.size, part.centre) for part in parts])
-        for parts in (LOW_CABINET.body, LOW_CABINET.drawer)
-    )
     place = np.array(LOW_CABINET.joint.origin[:3]) + [0.14, 0.0, 0.0]
     points = {
         **gripper(tool, opening),
-        "cabinet": cloud(cabinet, (0, 0, 0), 4000),
-        "drawer": cloud(drawer, place, 4000),
+        "cabinet": solid_points(LOW_CABINET.body),
+        "drawer": solid_points(LOW_CABINET.drawer) + torch.tensor(place, dtype=torch.float32),
     }
     blocking = drawers.fingers_blocking(drawers.CABINET_DRAWER, lambda points, info: torch.tensor([way]))
     return float(blocking(points, {}))

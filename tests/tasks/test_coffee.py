@@ -94,9 +94,15 @@ def test_the_twin_tells_the_stage_and_a_reset_begins_anew():
         assert base.reset(seed=1)[1]["stage"] == "place pod at machine"
 
 
-def test_the_twin_is_an_environment():
+@pytest.mark.slow
+def test_gymnasiums_checker_is_clean():
     env = gym.make("pwm/CoffeeSim-v0").unwrapped
     check_env(env, skip_render_check=True)
+    env.close()
+
+
+def test_the_twin_is_restored():
+    env = gym.make("pwm/CoffeeSim-v0").unwrapped
     first, _ = env.reset(seed=4)
     assert first["points"].shape == (4096, 3)
     scene = env.scene()

@@ -110,9 +110,15 @@ def test_a_demonstration_goes_through_the_stages_of_the_planning_cost_which_fall
     assert values[stage >= 3].max() < values[stage < 3].min()
 
 
-def test_the_twin_is_an_environment():
+@pytest.mark.slow
+def test_gymnasiums_checker_is_clean():
     env = gym.make("pwm/MugCleanupSim-v0").unwrapped
     check_env(env, skip_render_check=True)
+    env.close()
+
+
+def test_the_twin_is_restored():
+    env = gym.make("pwm/MugCleanupSim-v0").unwrapped
     first, _ = env.reset(seed=4)
     assert first["points"].shape == (8192, 3) and first["goal"].shape == (0,)
     scene = env.scene()

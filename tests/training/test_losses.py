@@ -263,6 +263,7 @@ def options(data_folder, out, steps):
     return [*given.split(), *flat]
 
 
+@pytest.mark.slow
 def test_a_killed_run_resumes_to_the_same_checkpoint(data_folder, tmp_path):
     config = TrainConfig(phases=((1, 60, 16),), validate_every=5, threads=1)
     out = tmp_path / "killed"
@@ -310,6 +311,7 @@ def free_port():
         return s.getsockname()[1]
 
 
+@pytest.mark.slow
 def test_two_processes_share_the_work(data_folder, tmp_path):
     launcher = f"-m torch.distributed.run --nproc-per-node 2 --master-port {free_port()} -m pwm_gym".split()
     done = subprocess.run(
