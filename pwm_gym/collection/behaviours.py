@@ -15,6 +15,8 @@ from pwm_gym.tasks import Task
 
 __all__ = ["Behaviour", "Demonstration", "OnPolicy", "Practice"]
 
+_LASTING = 0.9  # correlation of jitter from one step to the next
+
 
 class Behaviour(Protocol):
     """Acts for one episode."""
@@ -41,10 +43,18 @@ class Demonstration:
         length: steps of an episode that switches, within which the switch is drawn; None: the expert's mean length.
         randomise: probability of a switch.
         linger: steps that the expert goes on after success.
+        jitter: of the noise that is added to what the expert asks of arms, in action units: each episode's standard
+            deviation is drawn up to it. The expert puts right what it does (Laskey et al., DART, 2017).
     """
 
     def __init__(
-        self, task: Task, rng: np.random.Generator, length: int | None = None, randomise: float = 0.2, linger: int = 8
+        self,
+        task: Task,
+        rng: np.random.Generator,
+        length: int | None = None,
+        randomise: float = 0.2,
+        linger: int = 8,
+        jitter: float = 0.0,
     ) -> None:
         self._rng, self._task, self._linger = rng, task, linger
         self._expert = task.expert(rng)
@@ -52,6 +62,9 @@ class Demonstration:
         self.switch = int(rng.integers(0, self._length)) if rng.random() < randomise else -1
         self.kind = "expert" if self.switch < 0 else "randomised"
         self._step = 0
+        moves = [c.kind not in ("gripper", "finger") for c in task.control.channels for _ in range(c.start, c.stop)]
+        self._jitter = rng.uniform(0.0, jitter) * np.array(moves) if jitter else None
+        self._noise = np.zeros(task.action_size)
 
     def start(self, simulator: Simulator) -> None:
         """Nothing: demonstrations start where the task says."""
@@ -61,7 +74,12 @@ class Demonstration:
         self._step += 1
         if 0 <= self.switch < self._step:
             return uniform(self._rng, self._task.action_size)
-        return self._expert.act(simulator.poses(), simulator.goal(), simulator.assets())
+        action = self._expert.act(simulator.poses(), simulator.goal(), simulator.assets())
+        if self._jitter is None:
+            return action
+        fresh = self._rng.standard_normal(len(self._noise))
+        self._noise = _LASTING * self._noise + (1.0 - _LASTING**2) ** 0.5 * fresh
+        return np.clip(action + self._jitter * self._noise, -1.0, 1.0).astype(action.dtype)
 
     def done(self, success: bool) -> bool:
         """Whether an expert's episode has lingered long enough, or a random one is as long as a demonstration."""

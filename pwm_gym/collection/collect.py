@@ -64,6 +64,9 @@ class CollectConfig:
     """First seed of each split, so that several data sets of a task share none."""
     randomise: float = 0.2
     """Share of demonstrations that switch to random actions at a random step (the paper's 20 %)."""
+    jitter: float = 0.0
+    """Largest standard deviation of the noise that is added to what an expert asks of arms, in action units, so that
+    data hold small mistakes and how they are put right."""
     workers: int = 2
     """Processes."""
     shard: int = 20
@@ -74,7 +77,7 @@ class CollectConfig:
         for name, least in {"episodes": 1, "held_out": 1, "workers": 1, "shard": 1, "offset": 0}.items():
             if getattr(self, name) < least:
                 raise DatasetError(f"{name}={getattr(self, name)}; expected at least {least}")
-        for name in ("practice", "on_policy", "randomise"):
+        for name in ("practice", "on_policy", "randomise", "jitter"):
             if not 0.0 <= getattr(self, name) <= 1.0:
                 raise DatasetError(f"{name}={getattr(self, name)}; expected a share from 0 to 1")
         if self.practice + self.on_policy > 1.0:
@@ -133,8 +136,9 @@ def _check_complete(folder: Path, jobs: list[_Job]) -> None:
 
 def _write_header(config: CollectConfig, task: Task) -> None:
     settings = {k: v for k, v in asdict(config).items() if k not in ("out", "workers", "episodes", "held_out")}
-    if not config.objects:
-        del settings["objects"]
+    for name in ("objects", "jitter"):  # data sets of an earlier version do not tell them
+        if not settings[name]:
+            del settings[name]
     header = {
         "format": FORMAT,
         "schema": SCHEMA,
@@ -222,7 +226,7 @@ def _behaviours(job: _Job, task: Task) -> Callable[[int], Behaviour]:
     if job.kind == "practice":
         return lambda seed: Practice(task, rng(seed))
     if job.kind == "demonstration":
-        return lambda seed: Demonstration(task, rng(seed), randomise=job.config.randomise)
+        return lambda seed: Demonstration(task, rng(seed), randomise=job.config.randomise, jitter=job.config.jitter)
     checkpoint = load_checkpoint(resolve(job.config.checkpoint, task.name))
     agent = Agent(checkpoint.model, task.name)
     return lambda seed: OnPolicy(task, agent, seed)

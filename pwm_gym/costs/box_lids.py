@@ -14,17 +14,22 @@ from pwm_gym.costs import contacts, hands
 from pwm_gym.costs.contacts import Points, along, once, squared
 from pwm_gym.costs.motion import speed
 from pwm_gym.costs.stages import Stage
-from pwm_gym.costs.terms import Info, Term
+from pwm_gym.costs.terms import Info, Term, way_from_above
 from pwm_gym.robots.two_hands import FACE, SIDES, SIGN
-from pwm_gym.sim.lidded_box import BESIDE, GRIP_HEIGHT, LID_HALF, ON_BOX, PRESSED
+from pwm_gym.sim.lidded_box import BESIDE, GRIP_HEIGHT, LID_HALF, ON_BOX, PRESSED, SQUEEZE
 
 __all__ = ["LIDDED_BOX", "LiddedBox", "apart", "brought", "facing", "held", "reach", "released", "seated", "sequence"]
 
 _OUTSIDE = 0.045  # gap from where hands go in
+_CLEARANCE = 0.11  # over where they hold it, from where hands that come from beside pass over the box
 _READY = (0.025, 0.020, 0.09)  # along the side, in height, and gap at most, of a hand that may go in
 _LIFTED = 0.135  # height of the skirt's lower edge from where the lid passes over the box
+_OVER_RIM = 0.07  # of the lid over its place, where its skirt passes over the box's rim
 _OVER = (0.009, 0.06)  # beside the box's middle, and sine of the turn against it, from where it is lowered
 _UNIT = 0.03  # metres: a gap that is felt as near
+_CARRIED = (-0.020, 0.030)  # gaps of hands that carry a lid that is off the ground: a hand may lean, or bend a finger
+_ABOUT = 0.025  # along the side and in height, from where hands hold it, within which they may lift
+_SOFT = (-0.015, 0.008, 0.002)  # gaps of hands that press, from and to, and how softly
 _LEVER = 0.10  # metres: a turn as a distance
 
 
@@ -166,9 +171,14 @@ def sequence(lidded: LiddedBox, least: float, limit: float) -> list[Stage]:
         least: gap of hands that have left the lid.
         limit: rad/s of arms that rest.
     """
-    hold, rest = held(lidded), seated(lidded)
-    pressing = {"grip": (4.0, _off_grip(lidded)), "held": (-2.0, _firmness(lidded))}
-    carrying = {**pressing, "turn": (2.0, lambda p, i: _turned(p, lidded)), "beside": (8.0, _beside(lidded))}
+    hold, rest = _between(lidded), seated(lidded)
+    pressing = {
+        "grip": (6.0, _off_grip(lidded)),
+        "press": (6.0, _open(lidded)),
+        "held": (-2.0, _firmness(lidded)),
+        "squeeze": (2.0, _off_squeeze(lidded)),
+    }
+    carrying = {**pressing, "turn": (2.0, lambda p, i: _turned(p, lidded)), "way": (20.0, _way_onto(lidded))}
     return [
         Stage(
             "surround",
@@ -177,11 +187,11 @@ def sequence(lidded: LiddedBox, least: float, limit: float) -> list[Stage]:
         ),
         Stage(
             "lift",
-            {**pressing, "press": (6.0, _open(lidded)), "lift": (-5.0, _lift(lidded))},
+            {**pressing, "lift": (-5.0, _lift(lidded))},
             lambda p, i: hold(p, i) & (_skirt(p, lidded) >= _LIFTED),
         ),
-        Stage("carry", {**carrying, "low": (20.0, _low(lidded))}, lambda p, i: hold(p, i) & _is_over(p, lidded)),
-        Stage("lower", {**carrying, "height": (10.0, lambda p, i: _way(p, lidded)[..., 2].abs())}, rest),
+        Stage("carry", carrying, lambda p, i: hold(p, i) & _is_over(p, lidded)),
+        Stage("lower", carrying, rest),
         Stage("leave", {"apart": (-3.0, apart(lidded, 1.5 * least))}, released(lidded, least), lasting=rest),
         Stage("rest", {"speed": (2.0, hands.arm_speed)}, hands.static(limit)),
     ]
@@ -205,7 +215,7 @@ def _approach(lidded: LiddedBox) -> Term:
         total = torch.zeros_like(points[lidded.lid][..., 0, 0])
         for side in SIDES:
             along_side, gap, height = _from_grip(points, lidded.lid, side).unbind(-1)
-            distance = torch.stack([along_side, gap - _OUTSIDE, height], -1).norm(dim=-1)
+            distance = way_from_above(torch.stack([along_side, gap - _OUTSIDE, height], -1), _CLEARANCE, within=0.02)
             inside = (0.02 - gap).clamp_min(0.0) * (height < LID_HALF[2])  # over the lid, or in it
             total = total + 5.0 * distance + torch.tanh(distance / 0.03) + 20.0 * inside
         return total
@@ -237,6 +247,16 @@ def _off_grip(lidded: LiddedBox) -> Term:
     return term
 
 
+def _between(lidded: LiddedBox) -> Term:
+    """Bool (B,): the lid is between both hands; off the ground they carry it."""
+
+    def term(points: Points, info: Info) -> Tensor:
+        gaps = _gaps(points, lidded.lid)
+        return ((gaps >= _CARRIED[0]) & (gaps <= _CARRIED[1])).all(-1)
+
+    return term
+
+
 def _open(lidded: LiddedBox) -> Term:
     """How far (B,) both hands are from the lid's sides, in units of 3 cm."""
 
@@ -247,11 +267,24 @@ def _open(lidded: LiddedBox) -> Term:
     return term
 
 
+def _off_squeeze(lidded: LiddedBox) -> Term:
+    """By how much (B,) both hands are told to go inward less or more than a grip needs, as a share of that, up to 2."""
+
+    def term(points: Points, info: Info) -> Tensor:
+        out = contacts.across(_front(points, lidded.lid)).squeeze(-1)
+        inward = [-SIGN[side] * (hands.command(info, side) * out).sum(-1) for side in SIDES]
+        return (torch.stack(inward).mean(0) / SQUEEZE - 1.0).abs().clamp_max(2.0)
+
+    return term
+
+
 @once
 def _pressing(points: Points, lid: str) -> Tensor:
-    """Soft bool (B,): both hands press on the lid's sides."""
-    gaps = _gaps(points, lid)
-    return (torch.sigmoid((0.004 - gaps) / 0.001) * torch.sigmoid((gaps - PRESSED[0]) / 0.001)).prod(-1)
+    """Soft bool (B,): both hands press on the lid's sides, about where they hold it."""
+    offsets = torch.stack([_from_grip(points, lid, side) for side in SIDES], 1)
+    gaps, off = offsets[..., 1], offsets[..., [0, 2]].norm(dim=-1)
+    pressed = torch.sigmoid((_SOFT[1] - gaps) / _SOFT[2]) * torch.sigmoid((gaps - _SOFT[0]) / _SOFT[2])
+    return (pressed * torch.sigmoid((_ABOUT - off) / (0.2 * _ABOUT))).prod(-1)
 
 
 def _firmness(lidded: LiddedBox) -> Term:
@@ -273,17 +306,14 @@ def _lift(lidded: LiddedBox) -> Term:
     return term
 
 
-def _low(lidded: LiddedBox) -> Term:
-    """By how much (B,) the lid is lower than it has to be to pass over the box's rim."""
-    return lambda points, info: (_LIFTED - 0.01 - _skirt(points, lidded)).clamp_min(0.0)
-
-
-def _beside(lidded: LiddedBox) -> Term:
-    """How far (B,) the lid is from over its place, a turn against it included: sharper when near."""
+def _way_onto(lidded: LiddedBox) -> Term:
+    """Way (B,) of the lid onto the box, up, over its place and down, a turn against it included: sharper when near."""
 
     def term(points: Points, info: Info) -> Tensor:
-        distance = _way(points, lidded)[..., :2].norm(dim=-1) + _LEVER * _turned(points, lidded)
-        return distance + 0.05 * torch.tanh(distance / 0.01)
+        offset = -_way(points, lidded)
+        length = way_from_above(offset, _OVER_RIM, within=0.8 * _OVER[0], slope=0.02)
+        beside = offset[..., :2].norm(dim=-1) + _LEVER * _turned(points, lidded)
+        return length + _LEVER * _turned(points, lidded) + 0.05 * torch.tanh(beside / 0.01)
 
     return term
 

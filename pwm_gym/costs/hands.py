@@ -23,6 +23,7 @@ __all__ = [
     "bent",
     "bent_fingers",
     "bent_thumb",
+    "command",
     "ground_contact",
     "low",
     "normal",
@@ -90,6 +91,13 @@ def _targets(sides: tuple[str, ...], first: int) -> list[int]:
 
 def _mean_bend(places: list[int]) -> Term:
     return lambda points, info: 0.5 * (info["action"][..., places] + 1.0).mean(-1)
+
+
+def command(info: Info, side: str) -> Tensor:
+    """Way (B, 3) that one hand is told to go in a step, metres."""
+    channel = TWO_HANDS.control.channel(side, "translation")
+    assert channel is not None
+    return channel.unit * info["action"][..., channel.slice]
 
 
 def bent(*sides: str) -> Term:

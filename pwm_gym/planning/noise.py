@@ -144,7 +144,12 @@ def share_mask(samples: int, share: float, step: int) -> Tensor:
 
 
 def sample_mask(
-    control: Control, sigma: Sequence[float], samples: int, single_arm_share: float, single_component_share: float
+    control: Control,
+    sigma: Sequence[float],
+    samples: int,
+    single_arm_share: float,
+    single_component_share: float,
+    single_channel_share: float = 0.0,
 ) -> Tensor:
     """Which components (S, A), bool, each sample perturbs; the others follow the last plan.
 
@@ -153,21 +158,29 @@ def sample_mask(
         sigma: noise of each component (A,); those without any are nobody's turn.
         samples: S.
         single_arm_share: share of the samples that perturb one arm alone, each arm in turn.
-        single_component_share: share of the samples that perturb one component alone, each in turn; where it is not one
-            of the sample's arm, it is the only one all the same.
+        single_component_share: share of the samples that perturb one component alone, each in turn, whatever the other
+            shares say.
+        single_channel_share: share of the other samples that perturb one channel alone, each in turn, whatever the
+            share of single arms says.
     """
     names = control.arm_names
+    channels = [c for c in control.channels if any(sigma[c.slice])]
     arm_of = [names.index(c.arm) if c.arm else -1 for c in control.channels for _ in range(c.start, c.stop)]
+    channel_of = [channels.index(c) if c in channels else -1 for c in control.channels for _ in range(c.start, c.stop)]
     noisy = [k for k, value in enumerate(sigma) if value > 0.0]
     component_of = [noisy.index(k) if k in noisy else -1 for k in range(len(sigma))]
-    of_arm = _single_mask(arm_of, len(names), samples, single_arm_share, step=1)
-    alone = _single_mask(component_of, len(noisy), samples, single_component_share, step=2)
-    both = of_arm & alone
-    return torch.where(both.any(1, keepdim=True), both, alone)
+    moved, _ = _single_mask(arm_of, len(names), samples, single_arm_share, step=1)
+    finer = (
+        _single_mask(channel_of, len(channels), samples, single_channel_share, step=5),
+        _single_mask(component_of, len(noisy), samples, single_component_share, step=2),
+    )
+    for mask, alone in finer:
+        moved = torch.where(alone.unsqueeze(1), mask, moved)
+    return moved
 
 
-def _single_mask(owner: list[int], count: int, samples: int, share: float, step: int) -> Tensor:
-    """Components (S, A) that samples perturb, a ``share`` of which those of one owner alone; -1 belongs to all.
+def _single_mask(owner: list[int], count: int, samples: int, share: float, step: int) -> tuple[Tensor, Tensor]:
+    """Components (S, A) that samples perturb, a ``share`` (S,) of which those of one owner alone; -1 belongs to all.
 
     ``step`` chooses which samples those are: wide and fine ones have their share each.
     """
@@ -175,7 +188,7 @@ def _single_mask(owner: list[int], count: int, samples: int, share: float, step:
     single = share_mask(samples, share, step) & (count > 1)
     chosen = (place / max(share, 1e-9) * count).long().clamp(max=count - 1)  # (S,)
     owners = torch.tensor(owner)
-    return ~single[:, None] | (owners == chosen[:, None]) | (owners < 0)
+    return ~single[:, None] | (owners == chosen[:, None]) | (owners < 0), single
 
 
 def power_law_noise(shape: tuple[int, ...], beta: float, generator: torch.Generator) -> Tensor:

@@ -76,6 +76,9 @@ class SamplingConfig:
     single_component_share: float = 0.0
     """Share of the samples that perturb one component alone, each in turn: where a task asks for exact places, a good
     turn of the hand or a way straight down is lost among the bad motions that come with it."""
+    single_channel_share: float = 0.0
+    """Share of the samples that perturb one channel alone, each in turn: the way, the turn or the fingers of one hand,
+    where a robot has many components."""
     geometric_scales: bool = False
     """Whether the samples' noise shrinks by a factor from one to the next, not by a difference, so that as many refine
     as search wide; the finest are then not those that the stop samples replace."""
@@ -101,7 +104,7 @@ class SamplingConfig:
                 raise PwmGymError(f"{name}={getattr(self, name)}; expected at least 1")
         if self.stop_samples < 0:
             raise PwmGymError(f"stop_samples={self.stop_samples}; expected 0 or more")
-        for name in ("single_arm_share", "together_share", "single_component_share"):
+        for name in ("single_arm_share", "together_share", "single_component_share", "single_channel_share"):
             if not 0.0 <= getattr(self, name) <= 1.0:
                 raise PwmGymError(f"{name}={getattr(self, name)}; expected 0 to 1")
         if not 1 <= self.elites <= self.samples:
@@ -158,7 +161,8 @@ class SamplingPlanner(ABC, Generic[Config]):
         else:
             place = torch.linspace(0.0, 1.0, samples, device=least.device).unsqueeze(-1)
             scale = 1.0 - place * (1.0 - least)
-        shares = self.config.single_arm_share, self.config.single_component_share
+        c = self.config
+        shares = c.single_arm_share, c.single_component_share, c.single_channel_share
         moves = sample_mask(control, self._sigma.tolist(), samples, *shares).to(self._together.device)
         moves = moves | self._together.unsqueeze(1)  # they move all arms, whatever the shares say
         return (scale * moves.to(scale)).unsqueeze(1)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from pwm_gym.sim.shapes import Box, Shape
 
-__all__ = ["BESIDE", "BOX", "BOX_HALF", "GRIP_HEIGHT", "LID", "LID_HALF", "ON_BOX", "PRESSED"]
+__all__ = ["BESIDE", "BOX", "BOX_HALF", "GRIP_HEIGHT", "LID", "LID_HALF", "ON_BOX", "PRESSED", "SQUEEZE"]
 
 _WALL, _PLATE = 0.008, 0.006
 
@@ -21,6 +21,8 @@ GRIP_HEIGHT = 0.024
 """Of the tools over the lid's middle, where hands hold it."""
 PRESSED = (-0.010, 0.006)
 """Gaps between a hand and the lid's side from and to which it holds the lid."""
+SQUEEZE = 0.014
+"""By which hands are told to go further inward than the lid in every step; more of it drags both hands away."""
 BESIDE = 0.06
 """Of a tool over or under the lid's middle, at most, of a hand that is beside the lid."""
 

@@ -10,7 +10,7 @@ import numpy as np
 from pwm_gym.robots import two_hands
 from pwm_gym.robots.two_hands import FACE, SIDES, SIGN
 from pwm_gym.scene.poses import rotation
-from pwm_gym.sim.lidded_box import GRIP_HEIGHT, LID_HALF, ON_BOX
+from pwm_gym.sim.lidded_box import GRIP_HEIGHT, LID_HALF, ON_BOX, SQUEEZE
 from pwm_gym.skills.two_hands import FLAT, Reach, act
 
 __all__ = ["PutLid"]
@@ -18,8 +18,7 @@ __all__ = ["PutLid"]
 _UP = np.array([0.0, 0.0, 1.0])
 _OUTSIDE = 0.060  # between hand and lid, where a hand comes down
 _FARTHEST = 0.10  # from where a hand beside the lid may go in
-_SQUEEZE = 0.025  # past the contact, to where hands that come in are told to go
-_PUSH = 0.014  # further inward than the lid goes, asked for in every step; more of it drags both hands away
+_INWARD = 0.025  # past the contact, to where hands that come in are told to go
 _PRESSING = 0.007  # gap of a hand that holds
 _LEVEL, _BESIDE = 0.015, 0.025  # over or under the grip's height, and along the side, within which a hand goes in
 _CLEARANCE = 0.13  # of the lid's middle over its place, at which it is carried
@@ -57,7 +56,7 @@ class PutLid:
         target = self._grip(side) + _OUTSIDE * self._ways_out[side]
         if self._ready(side):
             if all(self._ready(other) for other in SIDES):
-                target = self._grip(side) - _SQUEEZE * self._ways_out[side]
+                target = self._grip(side) - _INWARD * self._ways_out[side]
         elif abs(offset[0]) > _BESIDE or not 0.02 < gap < _FARTHEST:
             target = target + _TRAVEL * _UP
             low = offset[2] < _TRAVEL - 0.03
@@ -83,7 +82,7 @@ class PutLid:
         for side in SIDES:
             arm = self._grip(side) - self.poses[-1, :3]
             moved = step + np.cross(turn * _UP, arm)
-            push = -_PUSH * self._ways_out[side]
+            push = -SQUEEZE * self._ways_out[side]
             reaches[side] = Reach(
                 self._grip(side) + moved, -_turned(self._ways_out[side], turn), self.speed, FLAT, push
             )

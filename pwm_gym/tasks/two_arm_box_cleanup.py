@@ -58,9 +58,9 @@ register_stages(
     box_lids.sequence(_LID, _LEFT, _STATIC),
     {
         "ground_contact": (1.0, hands.ground_contact),
-        "tilt": (4.0, hands.tilted),
+        "tilt": (8.0, hands.tilted),
         "facing": (3.0, box_lids.facing(_LID)),
-        "bent": (2.0, hands.bent(*SIDES)),
+        "bent": (8.0, hands.bent(*SIDES)),
     },
 )
 

@@ -53,6 +53,20 @@ def test_the_switch_is_uniform_over_the_episode():
     assert np.histogram(steps, 6, (0, 66))[0] == pytest.approx(4000 / 6, rel=0.2)
 
 
+def test_jitter_is_smooth_noise_on_what_the_arm_is_asked_for():
+    calm, *shaken = (demonstrations(40, randomise=0.0, jitter=jitter) for jitter in (0.0, 0.2, 0.2))
+    simulator = Still()
+    truth = calm[0].act(simulator)
+    noise = np.array([[d.act(simulator) - truth for _ in range(60)] for d in shaken[0]])  # (M, T, A)
+    again = np.array([[d.act(simulator) - truth for _ in range(60)] for d in shaken[1]])
+    np.testing.assert_array_equal(noise, again)
+    assert (noise[..., 6] == 0.0).all() and (np.abs(truth + noise) <= 1.0).all()
+    sizes = noise[..., :2].std((1, 2))
+    assert sizes.min() > 0.0 and sizes.max() < 0.25 and np.ptp(sizes) > 0.08  # each episode has its own
+    steps = np.diff(noise[..., :2], axis=1).std() / noise[..., :2].std()
+    assert 0.3 < steps < 0.6  # of white noise 1.4
+
+
 @pytest.mark.parametrize(("share", "kind"), [(0.0, "expert"), (1.0, "randomised")])
 def test_the_shares_limits(share, kind):
     assert {d.kind for d in demonstrations(50, randomise=share)} == {kind}
