@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from adaptation import adaptation
 from agents import learned, ranked
 from formatting import ROOT, SUCCESS_HEAD, grid, number, paragraph, read, source, success
 from glance import glance
@@ -124,6 +125,7 @@ def page() -> str:
         _calibration(),
         _planned(),
         _cloned(),
+        adaptation(),
         learned(),
         ranked(),
         _distractors(),

@@ -68,10 +68,18 @@ class Measurement:
         data = self.options.get("data", [""])[0]
         return self.options.get("objects", [data.partition("-unseen")[1].strip("-")])[0]
 
+    @property
+    def shipped(self) -> bool:
+        """Whether it is of a shipped checkpoint, which has a name and is no folder."""
+        return "/" not in self.options.get("checkpoint", [""])[0]
+
 
 def measurements(verb: str, task: str | None = None) -> list[Measurement]:
-    """Results of ``pwm-gym VERB``, of one task or of all, without tables of trainings and views of a camera."""
-    asked = [m for m in _all() if m.verb == verb and task in (None, m.task)]
+    """Results of ``pwm-gym VERB`` and the shipped checkpoints, of one task or of all.
+
+    Tables of trainings and views of a camera are left out.
+    """
+    asked = [m for m in _all() if m.verb == verb and task in (None, m.task) and m.shipped]
     return asked if verb == "bench" else [m for m in asked if not {"table", "completer"} & m.options.keys()]
 
 
