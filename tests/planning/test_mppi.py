@@ -224,6 +224,7 @@ def test_another_batch_size_forgets_the_last_plan():
         ({"elites": 129}, "elites=129; expected 1 to samples=128"),
         ({"stop_samples": -1}, "stop_samples=-1; expected 0 or more"),
         ({"single_arm_share": 1.5}, "single_arm_share=1.5; expected 0 to 1"),
+        ({"single_channel_share": -0.5}, "single_channel_share=-0.5; expected 0 to 1"),
         ({"elites": 0}, "elites=0; expected 1 to samples=128"),
     ],
 )

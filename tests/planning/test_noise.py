@@ -174,6 +174,30 @@ def test_every_sample_of_several_arms_perturbs_something():
     assert {int(n) for n in components.unique()} == {1, 12, 24}  # a component, an arm, both
 
 
+@pytest.mark.parametrize("share", [0.5, 1.0])
+def test_one_channel_alone_is_perturbed(share):
+    noise = ActionNoise.uniform(NoiseConfig(sigma=(0.5,), correlation=0.0))
+    config = MPPIConfig(samples=600, stop_samples=0, single_arm_share=0.0, single_channel_share=share, noise=noise)
+    *samples, mean = seen_by(config, BOTH, last_action=torch.zeros(1, 24))
+    moves = (torch.stack(samples) - mean).abs().amax(1) > 0  # (S, A)
+    for channel in BOTH.channels:
+        alone = moves[:, channel.slice].all(1) & (moves.sum(1) == channel.stop - channel.start)
+        assert alone.float().mean() == pytest.approx(share / len(BOTH.channels), abs=0.02)
+        assert alone[:300].float().mean() == pytest.approx(
+            float(alone[300:].float().mean()), abs=0.03
+        )  # wide ones and fine
+    assert moves.all(1).float().mean() == pytest.approx(1.0 - share, abs=0.02)
+
+
+def test_a_component_alone_comes_before_a_channel_and_a_channel_before_an_arm():
+    shares = {"single_arm_share": 1.0, "single_channel_share": 0.5, "single_component_share": 0.5}
+    noise = ActionNoise.uniform(NoiseConfig(sigma=(0.5,), correlation=0.0))
+    *samples, mean = seen_by(MPPIConfig(samples=600, stop_samples=0, noise=noise, **shares), BOTH, torch.zeros(1, 24))
+    count = ((torch.stack(samples) - mean).abs().amax(1) > 0).sum(1)
+    assert (count == 1).float().mean() == pytest.approx(0.5, abs=0.02)
+    assert set(count.tolist()) == {1, 3, 6, 12}
+
+
 def test_settings_that_do_not_fit_the_control_are_named():
     wide = replace(ActionNoise(), translation=NoiseConfig((0.1, 0.2)))
     with pytest.raises(PwmGymError, match="translation sigma has 2 values; expected 1 or 3"):
