@@ -13,6 +13,7 @@ from pwm_gym.robots.control import Control
 from pwm_gym.scene import Scene
 from pwm_gym.scene.poses import compose, relative, rotation
 from pwm_gym.sim.maniskill.articulation import articulated_links, restore_articulations
+from pwm_gym.sim.maniskill.garbage import seldom_collected
 from pwm_gym.sim.maniskill.headless import allow_headless
 from pwm_gym.sim.maniskill.meshes import collision_mesh
 from pwm_gym.sim.maniskill.poses import pose7
@@ -83,7 +84,8 @@ class ManiSkillSimulator:
         assets: AssetChoice | None = None,
         joint_names: Sequence[str] | None = None,
     ) -> None:
-        self.env = _make(task, control_mode, robot_uids)
+        with seldom_collected():
+            self.env = _make(task, control_mode, robot_uids)
         self._base: Any = self.env.unwrapped
         self._task = task
         self._bodies = dict(bodies)
@@ -145,7 +147,8 @@ class ManiSkillSimulator:
         self._props.wanted = dict(props or {})
         if self._asset_choice is not None:
             self._asset_choice.force(self._base, assets)
-        self.env.reset(seed=seed, options={"reconfigure": True})
+        with seldom_collected():
+            self.env.reset(seed=seed, options={"reconfigure": True})
         self._bind()
 
     def meshes(self) -> dict[str, trimesh.Trimesh]:
@@ -328,7 +331,8 @@ class ManiSkillSimulator:
     def close(self) -> None:
         """Free the simulator; calling it twice is harmless."""
         if self.env is not None:
-            self.env.close()
+            with seldom_collected():
+                self.env.close()
             self.env = None
 
 
