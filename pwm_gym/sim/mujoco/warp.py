@@ -31,8 +31,8 @@ class WarpWorlds:
     Resets, what actions mean, poses, joints, goals, rewards and contacts are the simulator's own: :meth:`view` puts one
     world's state into it. So whoever acts in a simulator can act in each of the worlds, in turn.
 
-    Each control step begins with a cold solver, as the simulator's does. Where a geom has a margin, Warp supports neither
-    of MuJoCo's ``nativeccd`` and ``multiccd``: both are off then, and convex geoms touch in one point.
+    Each control step begins with a cold solver, as the simulator's does. Where a geom has a margin, Warp supports
+    neither of MuJoCo's ``nativeccd`` and ``multiccd``: both are off then, and meshes touch in one point.
 
     Args:
         simulator: shows the worlds; nobody else may step it meanwhile.
@@ -158,7 +158,9 @@ class WarpWorlds:
             with np.errstate(invalid="ignore"):
                 wrong = running & ~(np.abs(values) < _BOUND).all(-1)
             if wrong.any():
-                raise PwmGymError(f"the simulation of world {np.flatnonzero(wrong)[0]} diverged: {name} is out of bounds")
+                raise PwmGymError(
+                    f"the simulation of world {np.flatnonzero(wrong)[0]} diverged: {name} is out of bounds"
+                )
             self._state[name][running] = values[running]
         self._settled[running] = False
 
@@ -186,7 +188,7 @@ class WarpWorlds:
         return np.stack([self.view(world).poses() for world in range(len(self))])
 
     def joints(self) -> np.ndarray:
-        """Joint positions and velocities (N, 2, J) float32: radians (sliding joints: metres), and these a control step."""
+        """Joint positions and velocities (N, 2, J) float32, as the simulator's."""
         return np.stack([self.view(world).joints() for world in range(len(self))])
 
 
