@@ -147,6 +147,7 @@ class WarpWorlds:
         for name, values in self._state.items():
             _assign(getattr(self._data, name), values)
         self._data.qacc_warmstart.zero_()
+        self._data.overflow.zero_()
 
     def _receive(self) -> None:
         running = self._running
