@@ -9,6 +9,7 @@ import tyro
 
 from pwm_gym.collection import CollectConfig
 from pwm_gym.commands.crew import crew
+from pwm_gym.errors import PwmGymError
 
 __all__ = ["Collect"]
 
@@ -24,5 +25,8 @@ class Collect:
     def run(self) -> None:
         """Collect, with a progress bar."""
         from pwm_gym.collection import collect
+
+        if self.ray is not None and self.config.warp:
+            raise PwmGymError(f"ray={self.ray!r} and warp={self.config.warp}; expected one of them")
 
         print(f"data set: {collect(self.config, workers=crew(self.config.workers, self.ray))}")

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from pwm_gym.collection.collect import record_episode
+from pwm_gym.collection.recording import record_episode
 from pwm_gym.data.dataset import Dataset
 from pwm_gym.dynamics.model import WorldModel
 from pwm_gym.evaluation.metrics import chamfer

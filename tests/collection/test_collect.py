@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from pwm_gym.collection import CollectConfig, collect
+from pwm_gym.collection.shards import Shard
 from pwm_gym.data import KINDS, Episode, load_split
 from pwm_gym.data.dataset import SPLITS
 from pwm_gym.data.episodes import read_shard
@@ -252,7 +253,7 @@ class Waver:
 
 
 def test_a_planner_acts_in_episodes_of_its_own(data_config, tmp_path, monkeypatch):
-    module = sys.modules[collect.__module__]
+    module = sys.modules[Shard.__module__]
     monkeypatch.setattr(module, "load_checkpoint", lambda folder: SimpleNamespace(model="model"))
     monkeypatch.setattr(module, "resolve", lambda checkpoint, task: checkpoint)
     monkeypatch.setattr(module, "Agent", Waver)

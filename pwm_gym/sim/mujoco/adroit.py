@@ -36,6 +36,7 @@ class AdroitWorld:
         self.model, self.data = self._env.model, self._env.data
         self.action_size = int(np.prod(self._env.action_space.shape))
         self.period = float(self._env.dt)
+        self.frame_skip = int(self._env.frame_skip)
         self._target = None if target is None else self.model.site(target)
         self.reward = 0.0
         """The environment's own reward of the last step."""
@@ -54,6 +55,13 @@ class AdroitWorld:
     def step(self, action: np.ndarray) -> None:
         """The environment's own step."""
         self.reward = float(self._env.step(action)[1])
+
+    def drive(self, action: np.ndarray) -> None:
+        """Set the actuators' controls as the environment's step does for an action (A,)."""
+        self.data.ctrl[:] = self._env.act_mean + np.clip(action, -1.0, 1.0) * self._env.act_rng
+
+    def settle(self) -> None:
+        """Nothing: the model's steps are all."""
 
     def goal(self) -> np.ndarray:
         """Place (3,) of the target; (0,) where there is none."""

@@ -6,13 +6,13 @@ from collections.abc import Callable
 from contextlib import redirect_stderr
 from io import StringIO
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
 from pwm_gym.errors import PwmGymError
 
-__all__ = ["RoboticsWorld", "World", "XmlWorld", "make_environment"]
+__all__ = ["RoboticsWorld", "SetsControls", "World", "XmlWorld", "make_environment"]
 
 _NO_TIME_LIMIT = 1_000_000  # the package's environments own their limits
 
@@ -45,6 +45,21 @@ class World(Protocol):
 
     def close(self) -> None:
         """Free what it holds; calling it twice is harmless."""
+
+
+@runtime_checkable
+class SetsControls(Protocol):
+    """A world whose control step has three parts, so that something else can step its model: :meth:`drive`,
+    ``frame_skip`` steps of the model, :meth:`settle`."""
+
+    frame_skip: int
+    """MuJoCo's steps in one control step."""
+
+    def drive(self, action: np.ndarray) -> None:
+        """Set the controls and the mocap bodies' poses that an action (A,) in [-1, 1] asks for, and nothing else."""
+
+    def settle(self) -> None:
+        """Change what the world changes after the model's steps."""
 
 
 class XmlWorld:
@@ -82,7 +97,7 @@ class XmlWorld:
         self.direct = act is None
         """Whether actions span the actuators' ranges."""
         self._act = self._spread if act is None else act
-        self._start, self._frame_skip = start, frame_skip
+        self._start, self.frame_skip = start, frame_skip
         self._goal = np.zeros(0)
         if act is None:
             self._check_ranges()
@@ -118,8 +133,15 @@ class XmlWorld:
         """Apply an action (A,) in [-1, 1] for one control step."""
         import mujoco
 
+        self.drive(action)
+        mujoco.mj_step(self.model, self.data, nstep=self.frame_skip)
+
+    def drive(self, action: np.ndarray) -> None:
+        """Set the actuators' controls for an action (A,) in [-1, 1]."""
         self.data.ctrl[:] = self._act(self.model, self.data, action)
-        mujoco.mj_step(self.model, self.data, nstep=self._frame_skip)
+
+    def settle(self) -> None:
+        """Nothing: the model's steps are all."""
 
     def goal(self) -> np.ndarray:
         """Goal (G,) that the start gave; (0,) where it gave none."""
@@ -151,6 +173,7 @@ class RoboticsWorld:
         self.model, self.data = self._env.model, self._env.data
         self.action_size = int(np.prod(self._env.action_space.shape))
         self.period = float(self._env.dt)
+        self.frame_skip = round(self.period / float(self.model.opt.timestep))
 
     def reset(self, seed: int) -> None:
         """Start the environment's episode of ``seed``."""
@@ -166,6 +189,14 @@ class RoboticsWorld:
     def step(self, action: np.ndarray) -> None:
         """The environment's own step."""
         self._env.step(action)
+
+    def drive(self, action: np.ndarray) -> None:
+        """Set controls and mocap bodies as the environment's step does for an action (A,)."""
+        self._env._set_action(np.clip(action, -1.0, 1.0))
+
+    def settle(self) -> None:
+        """What the environment does after its model's steps: some keep their fingers shut."""
+        self._env._step_callback()
 
     def goal(self) -> np.ndarray:
         """The environment's desired goal (G,)."""

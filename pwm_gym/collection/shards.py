@@ -1,0 +1,84 @@
+"""Shards that a collection consists of: whose episodes they hold, and who acts in them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pwm_gym.collection.behaviours import Behaviour, Demonstration, OnPolicy, Practice
+from pwm_gym.collection.practice import PRACTICE_STEPS
+from pwm_gym.data.dataset import asset_path, save_asset
+from pwm_gym.data.episodes import FORMAT, Episode, read_shard, write_shard
+from pwm_gym.dynamics.checkpoint import load_checkpoint, resolve
+from pwm_gym.errors import DatasetError
+from pwm_gym.planning import Agent
+from pwm_gym.scene import SCHEMA, sample_clouds
+from pwm_gym.sim import Simulator
+from pwm_gym.tasks import Task
+
+if TYPE_CHECKING:
+    from pwm_gym.collection.collect import CollectConfig
+
+__all__ = ["SHARD_KINDS", "Shard", "save_assets"]
+
+SHARD_KINDS = ("demonstration", "practice", "on_policy")
+"""Who acts in the episodes of a shard."""
+
+_PATIENCE = 1.8  # of an expert's usual length, after which a demonstration that has not succeeded ends
+_PLANNED_STEPS = 60
+
+
+@dataclass(frozen=True)
+class Shard:
+    """Episodes that one file holds."""
+
+    path: Path
+    seeds: range
+    kind: str
+    """One of :data:`SHARD_KINDS`."""
+    config: CollectConfig
+
+    def is_whole(self, task: Task) -> bool:
+        """Whether the file holds all its episodes."""
+        try:
+            return len(read_shard(self.path, task.name)) == len(self.seeds)
+        except DatasetError:
+            return False
+
+    def limit(self, task: Task) -> int:
+        """Steps of an episode at most."""
+        longest = round(_PATIENCE * task.expert_steps)
+        return {"demonstration": longest, "practice": PRACTICE_STEPS, "on_policy": _PLANNED_STEPS}[self.kind]
+
+    def behaviours(self, task: Task) -> Callable[[int], Behaviour]:
+        """Who acts in the episode of a seed."""
+
+        def rng(seed: int) -> np.random.Generator:
+            return np.random.default_rng([seed, SHARD_KINDS.index(self.kind)])
+
+        if self.kind == "practice":
+            return lambda seed: Practice(task, rng(seed))
+        if self.kind == "demonstration":
+            share, jitter = self.config.randomise, self.config.jitter
+            return lambda seed: Demonstration(task, rng(seed), randomise=share, jitter=jitter)
+        checkpoint = load_checkpoint(resolve(self.config.checkpoint, task.name))
+        agent = Agent(checkpoint.model, task.name)
+        return lambda seed: OnPolicy(task, agent, seed)
+
+    def write(self, task: Task, episodes: Sequence[Episode]) -> None:
+        """Write the file."""
+        write_shard(self.path, episodes, {"format": FORMAT, "schema": SCHEMA, "task": task.name})
+
+
+def save_assets(folder: Path, task: Task, simulator: Simulator) -> None:
+    """Sample the canonical clouds of the present episode's assets that the data set does not have yet."""
+    names = simulator.assets()
+    if all(asset_path(folder, name).exists() for name in names):
+        return
+    clouds = sample_clouds(simulator.meshes(), task.layout, task.cloud_seed)
+    for name, entity in zip(names, task.layout, strict=True):
+        save_asset(folder, name, clouds[entity.slice])
