@@ -1,13 +1,13 @@
 """Episodes of OGBench's Cube tasks that start in the midst of play, with a goal that play reaches a little later.
 
-This is the protocol of the figures that stable-worldmodel publishes for OGBench's cube (its ``scripts/plan``): a start is
-any state of an offline data set with 25 more steps behind it in its episode, velocities included, the goal is where the
-cube is 25 steps later, the budget is 50 steps, and an episode succeeds at the first step with the cube within 4 cm of
+This is the protocol of the figures that stable-worldmodel publishes for OGBench's cube (its ``scripts/plan``): a start
+is any state of an offline data set with 25 more steps behind it, velocities included, the goal is where the cube is 25
+steps later, the budget is 50 steps, and an episode succeeds at the first step that ends with the cube within 4 cm of
 that place. Starts from which the cube moves less than 4 cm are among them, and nothing has to be done there.
 
 The data set is not needed here: the episode of a seed is played anew. Its recipe is that of the data set (its
-``scripts/data``): OGBench's ``CubeMarkovOracle`` in 200 steps of its environment's mode for data collection, a new target
-whenever it is done, and Gaussian noise on the actions, of a scale that is drawn for each episode.
+``scripts/data``): OGBench's ``CubeMarkovOracle`` in 200 steps of its environment's mode for data collection, a new
+target whenever it is done, and Gaussian noise on the actions, of a scale that is drawn for each episode.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ class _Player:
         self._begin()
 
     def _begin(self) -> None:
-        """Let the oracle begin with a new target: what its own reset does, which draws from NumPy's global generator."""
+        """Let the oracle begin with a new target, as its own reset does, which draws from NumPy's global generator."""
         self._oracle._done, self._oracle._step = False, 0
         self._oracle._final_pos = self._rng.uniform(*self._env._arm_sampling_bounds)
         self._oracle._final_yaw = self._rng.uniform(-np.pi, np.pi)
