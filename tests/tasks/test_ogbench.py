@@ -1,13 +1,14 @@
 """OGBench's Cube tasks in their simulator: oracle, rewards, restoring, evaluation tasks, description of the robot."""
 
 import sys
+from itertools import groupby
 
 import gymnasium as gym
 import numpy as np
 import pytest
 import torch
 
-from pwm_gym.costs import contacts, cost_info
+from pwm_gym.costs import contacts, cost_info, get_cost
 from pwm_gym.costs.several import Several
 from pwm_gym.errors import PwmGymError, UnknownNameError
 from pwm_gym.robots.gripper import ROBOTIQ
@@ -258,3 +259,25 @@ def test_play_that_has_not_begun_has_no_past(simulator, monkeypatch):
     monkeypatch.setattr(simulator.world, "_starts", "tasks")
     simulator.reset(3)
     assert simulator.past() is None
+
+
+@pytest.mark.slow
+def test_the_planners_cost_falls_by_a_move_where_the_oracle_of_a_swap_sets_a_cube_down():
+    """One cube aside, the other to its goal, the first one back: what is left never grows."""
+    pytest.importorskip("ogbench")
+    twin = gym.make("pwm/OGBenchCubeDoubleSim-v0", starts="task4").unwrapped
+    twin.reset(seed=seed_range("plan_test", 1)[0])
+    expert, cost = DOUBLE.expert(np.random.default_rng(0)), get_cost(DOUBLE.plan_cost)
+    left, success = [], False
+    for _ in range(220):
+        scene = twin.scene()
+        action = expert.act(scene.poses[0], scene.goal)
+        success = twin.step(action)[-1]["success"]
+        points, info = cost_info(twin.state, torch.as_tensor(action)[None], twin.goal, twin.rules.grasp)
+        left.append(float(cost.evaluate(points, info)["moves"]))
+        if success:
+            break
+    twin.close()
+    steps = [value for value, _ in groupby(left)]
+    assert success and len(steps) == 3
+    assert steps == pytest.approx([3.0 * steps[-1], 2.0 * steps[-1], steps[-1]])
