@@ -21,19 +21,19 @@ def published() -> str:
     table = grid(["episodes", "successes", "95 % interval", "mean steps of successes"], _rows(result))
     others = ", ".join(f"{name} {figure}" for name, figure in _OTHERS.items())
     about = paragraph(
-        "stable-worldmodel reports figures of image world models on OGBench's cube. Its protocol, as its `cube.yaml`",
-        "and `World.evaluate` have it: a start is any state of its data set `cube_single_expert` with 25 more steps",
-        "behind it in its episode, positions and velocities; the goal is the picture of the state 25 steps later, and",
-        "a success the first step of 50 that ends with the cube within 4 cm of its place there. `--starts play` has",
-        "the same rules.",
+        "stable-worldmodel reports figures of image world models on OGBench's cube. Its protocol, as `cube.yaml` and",
+        "`World.evaluate` of its commit addbab4 have it: a start is any state of its data set `cube_single_expert`",
+        "with 25 more steps behind it in its episode, positions and velocities; the goal is the picture of the state",
+        "25 steps later, and a success the first step of 50 that ends with the cube within 4 cm of its place there.",
+        "`--starts play` has the same rules.",
     )
     differs = paragraph(
         "What differs: planners here get complete clouds, joint angles and the place that the cube shall go to, where",
         "those get a picture of the present and one of the goal, which shows where the arm is to be, too. Episodes are",
-        "played anew from their seeds by the recipe of that data set (OGBench's `CubeMarkovOracle`, noise, 200 steps),",
-        "not read from it, and fewer than its 50. MPPI plans anew at every step here, there CEM does every 25 steps.",
-        "The world model was trained on demonstrations and practice from other starts. What they",
-        f"report, percent: {others}.",
+        "played anew from their seeds by the recipe of its script that collects such data (OGBench's",
+        "`CubeMarkovOracle`, noise, 200 steps), not read from that file, and fewer than its 50. MPPI plans anew at",
+        "every step here, there CEM does every 25 steps. The world model was trained on demonstrations and practice",
+        f"from other starts. What they report, percent: {others}.",
     )
     told = "\n".join(source(name, each) for name, each in ((_NAME, result), (_STARTS, starts)) if each is not None)
     parts = [f"## OGBench's cube, the protocol of published figures\n\n{told}", about, table, _easy(starts), differs]

@@ -5,9 +5,10 @@ is any state of an offline data set with 25 more steps behind it, velocities inc
 steps later, the budget is 50 steps, and an episode succeeds at the first step that ends with the cube within 4 cm of
 that place. Starts from which the cube moves less than 4 cm are among them, and nothing has to be done there.
 
-The data set is not needed here: the episode of a seed is played anew. Its recipe is that of the data set (its
-``scripts/data``): OGBench's ``CubeMarkovOracle`` in 200 steps of its environment's mode for data collection, a new
-target whenever it is done, and Gaussian noise on the actions, of a scale that is drawn for each episode.
+The data set is not needed here: the episode of a seed is played anew, by the recipe of the script that collects such
+data there (``scripts/data/collect_cube.py``): OGBench's ``CubeMarkovOracle`` in 200 steps of its environment's mode for
+data collection, a new target whenever it is done, and Gaussian noise on the actions, of a scale that is drawn for each
+episode.
 """
 
 from __future__ import annotations
