@@ -11,6 +11,7 @@ from adaptation import adaptation
 from agents import learned, ranked
 from formatting import ROOT, SUCCESS_HEAD, grid, number, paragraph, read, source, success
 from glance import glance
+from published import published
 from tables import all_tables, completed_rollouts, completion, planning_table, rates, shared, speed, task_tables
 from trained import TRAINED
 
@@ -124,6 +125,7 @@ def page() -> str:
         _long(),
         _calibration(),
         _planned(),
+        published(),
         _cloned(),
         adaptation(),
         learned(),

@@ -69,6 +69,11 @@ class Measurement:
         return self.options.get("objects", [data.partition("-unseen")[1].strip("-")])[0]
 
     @property
+    def starts(self) -> str:
+        """Where the episodes started, if the command names it."""
+        return self.options.get("starts", [""])[0]
+
+    @property
     def shipped(self) -> bool:
         """Whether it is of a shipped checkpoint, which has a name and is no folder."""
         return "/" not in self.options.get("checkpoint", [""])[0]
@@ -98,6 +103,8 @@ def plan_label(measurement: Measurement) -> str:
         parts.append(f"{result['observation']} clouds")
     if measurement.objects:
         parts.append(f"{measurement.objects} objects")
+    if measurement.starts == "play":
+        parts.append("starts in play")
     return ", ".join(parts)
 
 

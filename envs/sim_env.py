@@ -32,7 +32,7 @@ from pwm_gym.envs.rendering import SceneRenderer, Window, modes_here, picture_ca
 from pwm_gym.errors import PwmGymError, SceneError, check_seed, unknown_name
 from pwm_gym.scene import Entity, Layout, RigidState, Scene, State, batch_state, sample_surface
 from pwm_gym.seeds import RANGES
-from pwm_gym.sim import SimOutcome, Simulator
+from pwm_gym.sim import SimOutcome, Simulator, StartsUnderway
 from pwm_gym.tasks import Task, get_task
 
 if TYPE_CHECKING:
@@ -219,15 +219,19 @@ class SimEnv(EzPickle, gym.Env[dict[str, np.ndarray], np.ndarray]):
         """Begin the simulator's episode of ``seed``, or of a random one."""
         seeds = RANGES["plan_test"]
         self.simulator.reset(int(self.np_random.integers(seeds.start, seeds.stop)) if seed is None else seed)
-        bodies, poses = self._bodies(self.layout), self.simulator.poses()
-        self._poses = deque([poses] * 3, maxlen=3)
+        bodies, past = self._bodies(self.layout), None
+        if isinstance(self.simulator, StartsUnderway):
+            past = self.simulator.past()
+        poses = np.stack([self.simulator.poses()] * 3) if past is None else past.poses
+        self._poses = deque(poses, maxlen=3)
         self._scene = Scene(
             task=self.task.name,
             layout=self.layout,
             clouds=bodies.clouds,
-            poses=np.stack([poses] * 3),
+            poses=poses,
             goal=self.simulator.goal(),
             assets=bodies.assets,
+            last_action=None if past is None else past.action,
         )
         self._action = last_action(self._scene, self.task.control)
         return bodies

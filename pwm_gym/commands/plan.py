@@ -122,6 +122,7 @@ class Plan:
         finally:
             _release(self)
         table = planning_table(runs)
+        table["at_reset"] = len(seeds) - len(runs)
         mode = {0: "open loop", 1: "closed loop"}.get(self.chunk, f"chunks of {self.chunk}")
         print_success(f"{self.task}, {mode} in the simulator", table)
         failed = [run for run in runs if not run.success]

@@ -9,22 +9,34 @@ from pwm_gym.costs import contacts, terms
 from pwm_gym.costs.contacts import Points
 from pwm_gym.costs.motion import speed
 from pwm_gym.costs.terms import Info, Place, Term
+from pwm_gym.robots.gripper import PANDA, Gripper
 
 __all__ = ["carry_onto", "finished", "released", "retreat"]
 
 
-def carry_onto(name: str, target: Place, clearance: float = 0.02) -> Term:
-    """As :func:`pwm_gym.costs.terms.carry`, up to 5, by a way from above: lifted first, over the place, then lowered.
+def carry_onto(
+    name: str,
+    target: Place,
+    clearance: float = 0.02,
+    gripper: Gripper = PANDA,
+    most: float = 5.0,
+    farthest: float = 0.45,
+) -> Term:
+    """As :func:`pwm_gym.costs.terms.carry`, by a way from above: lifted first, over the place, then lowered.
 
     Args:
         name: the object.
         target: the place where it shall stand.
         clearance: height over the place, metres, that it has to have 4.5 cm beside it; it falls to 0 above the place.
+        gripper: that holds it.
+        most: value at the place.
+        farthest: length of the way, metres, beyond which the value falls no further.
     """
 
     def term(points: Points, info: Info) -> Tensor:
         way = terms.way_from_above(contacts.centre(points, name) - target(points, info), clearance)
-        return contacts.firmness(points, info["action"], name) * terms.closeness(way, 5.0, 0.45)
+        firm = contacts.firmness(points, info["action"], name, gripper)
+        return firm * terms.closeness(way, most, farthest)
 
     return term
 

@@ -1,5 +1,5 @@
 """Simulators as sources of poses. Importing this package loads no simulator."""
 
-from pwm_gym.sim.protocol import PlacesBodies, SimOutcome, Simulator
+from pwm_gym.sim.protocol import Past, PlacesBodies, SimOutcome, Simulator, StartsUnderway
 
-__all__ = ["PlacesBodies", "SimOutcome", "Simulator"]
+__all__ = ["Past", "PlacesBodies", "SimOutcome", "Simulator", "StartsUnderway"]

@@ -13,7 +13,7 @@ from pwm_gym.scene import Scene
 if TYPE_CHECKING:
     import trimesh
 
-__all__ = ["PlacesBodies", "SimOutcome", "Simulator"]
+__all__ = ["Past", "PlacesBodies", "SimOutcome", "Simulator", "StartsUnderway"]
 
 
 @dataclass(frozen=True)
@@ -78,3 +78,21 @@ class PlacesBodies(Protocol):
 
     def place(self, name: str, pose: np.ndarray) -> None:
         """Put the free body ``name`` at rest at a pose (7,) in the base's frame."""
+
+
+@dataclass(frozen=True)
+class Past:
+    """What led to the start of an episode that begins in motion."""
+
+    poses: np.ndarray
+    """Entity poses (3, E, 7) at the start and one and two control steps before it."""
+    action: np.ndarray
+    """Action (A,) in [-1, 1] of the last of these steps."""
+
+
+@runtime_checkable
+class StartsUnderway(Protocol):
+    """A simulator some of whose episodes begin in motion; of others' first instants nothing is known before them."""
+
+    def past(self) -> Past | None:
+        """What led to the start of the present episode; None where it starts at rest."""

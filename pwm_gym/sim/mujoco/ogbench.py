@@ -12,17 +12,19 @@ import numpy as np
 from pwm_gym.errors import PwmGymError, unknown_name
 from pwm_gym.robots.ur5e import UR5E, opening, tool_pose
 from pwm_gym.sim.mujoco.adapter import MujocoSimulator
+from pwm_gym.sim.mujoco.ogbench_play import PlayStart, start_in_play
 from pwm_gym.sim.nearness import near
-from pwm_gym.sim.protocol import SimOutcome
+from pwm_gym.sim.protocol import Past, SimOutcome
 
-__all__ = ["GOAL_RADIUS", "STARTS", "WIDTH", "CubeWorld", "cube_simulator"]
+__all__ = ["GOAL_RADIUS", "STARTS", "WIDTH", "CubeSimulator", "CubeWorld", "cube_simulator"]
 
 GOAL_RADIUS = 0.04
 """Metres from its goal within which a cube is there."""
 WIDTH = 0.04
 """Metres: a cube's side."""
-STARTS = ("random", "tasks", "task1", "task2", "task3", "task4", "task5")
-"""Where episodes start: cubes and goals anywhere on the table; OGBench's five evaluation tasks in turn; one of them."""
+STARTS = ("random", "tasks", "task1", "task2", "task3", "task4", "task5", "play")
+"""Where episodes start: cubes and goals anywhere on the table; OGBench's five evaluation tasks in turn; one of them; in
+the midst of play, with a goal 25 steps ahead (:mod:`.ogbench_play`)."""
 
 _VARIANTS = {1: "single", 2: "double"}
 _LOW, _HIGH = (0.3, -0.3), (0.55, 0.3)  # metres: where OGBench's data collection puts cubes and goals
@@ -35,7 +37,7 @@ class CubeWorld:
     """OGBench's Cube environment, which steps its model itself.
 
     The gripper's component of an action is turned round: 1 opens it, as for all robots here, and -1 shuts it. The goal
-    is the cubes' positions in a row (3 K,).
+    is the cubes' positions in a row (3 K,). What came before a start in the midst of play is in ``play``.
 
     Args:
         cubes: 1 or 2.
@@ -53,7 +55,9 @@ class CubeWorld:
             raise PwmGymError(f"cubes={cubes}; expected 1 or 2")
         self._cubes, self._starts = cubes, starts
         self._env = _make(_VARIANTS[cubes])
-        self.reset(0)
+        with _quietly():
+            self._env.reset(seed=0, options={"task_id": 1})  # which makes the model
+        self.play: PlayStart | None = None
         self.model, self.data = self._env.model, self._env.data
         self.action_size = len(self._env.action_low)
         self.period = float(self._env.control_timestep())
@@ -62,14 +66,21 @@ class CubeWorld:
 
     def reset(self, seed: int) -> None:
         """Start the episode of ``seed``, with OGBench's own noise: places by 1 cm, any turn, the arm anywhere."""
-        if self._starts == "random":
-            options: dict[str, Any] = {"task_info": _draw(self._cubes, np.random.default_rng(seed))}
-        elif self._starts == "tasks":
-            options = {"task_id": 1 + int(seed) % 5}
-        else:
-            options = {"task_id": int(self._starts.removeprefix("task"))}
+        self.play = None
         with _quietly():
-            self._env.reset(seed=int(seed), options=options)
+            if self._starts != "play":
+                self._env.reset(seed=int(seed), options=self._options(int(seed)))
+                return
+            self.play = start_in_play(self._env, int(seed))
+        self.set_goal(self.play.goal)
+
+    def _options(self, seed: int) -> dict[str, Any]:
+        """What OGBench's reset is told of an episode."""
+        if self._starts == "random":
+            return {"task_info": _draw(self._cubes, np.random.default_rng(seed))}
+        if self._starts == "tasks":
+            return {"task_id": 1 + seed % 5}
+        return {"task_id": int(self._starts.removeprefix("task"))}
 
     def clear(self) -> None:
         """Go to a state that is always the same."""
@@ -80,7 +91,7 @@ class CubeWorld:
 
     def step(self, action: np.ndarray) -> None:
         """The environment's own step."""
-        self._env.step(np.r_[action[:-1], -action[-1]])
+        self._env.step(_turned(action))
 
     def goal(self) -> np.ndarray:
         """Where the cubes shall be (3 K,)."""
@@ -122,6 +133,11 @@ def _quietly() -> Iterator[None]:
         yield
 
 
+def _turned(action: np.ndarray) -> np.ndarray:
+    """OGBench's action of ours (5,), or ours of OGBench's: the gripper's component has the other sign."""
+    return np.r_[action[:-1], -action[-1]]
+
+
 def _draw(cubes: int, rng: np.random.Generator) -> dict[str, Any]:
     """Random places and goals of the cubes, none of which is solved at the start."""
     starts = _spread(cubes, rng)
@@ -146,7 +162,27 @@ def _spread(cubes: int, rng: np.random.Generator) -> np.ndarray:
             return places
 
 
-def cube_simulator(cubes: Sequence[str], starts: str = STARTS[0]) -> MujocoSimulator:
+class CubeSimulator(MujocoSimulator):
+    """A Cube task; it tells what came before a start in the midst of play."""
+
+    world: CubeWorld
+
+    def past(self) -> Past | None:
+        """Poses and action before the episode's start; None where it starts at rest."""
+        import mujoco
+
+        play, poses = self.world.play, []
+        if play is None or play.action is None:
+            return None
+        data = mujoco.MjData(self.model)
+        for positions in play.positions:
+            data.qpos[:] = positions
+            mujoco.mj_kinematics(self.model, data)
+            poses.append(self.poses(data))
+        return Past(np.stack(poses), _turned(play.action).astype(np.float32))
+
+
+def cube_simulator(cubes: Sequence[str], starts: str = STARTS[0]) -> CubeSimulator:
     """A Cube task, whose success rule is OGBench's: all cubes within 4 cm of their goals.
 
     The reward is dense, in [0, 1]: of each cube that is at its goal a share, of the next one parts of that for
@@ -170,7 +206,7 @@ def cube_simulator(cubes: Sequence[str], starts: str = STARTS[0]) -> MujocoSimul
         return SimOutcome(float(reward) / (4.0 * len(cubes)), False, any(held))
 
     bodies = {**UR5E.links, **{name: f"object_{k}" for k, name in enumerate(cubes)}}
-    return MujocoSimulator(CubeWorld(len(cubes), starts), bodies, judge, control=UR5E.control)
+    return CubeSimulator(CubeWorld(len(cubes), starts), bodies, judge, control=UR5E.control)
 
 
 def _held(simulator: MujocoSimulator, name: str) -> bool:
