@@ -43,17 +43,15 @@ def adaptation() -> str:
     if not rows:
         return ""
     about = paragraph(
-        "The paper's claim of adaptation: a model of MugCleanup and Coffee plans CoffeePreparation, which it never saw.",
-        "All are planned in by the same costs from the same test seeds, cloned policies act in them.",
+        "The paper's claim of adaptation: a model of MugCleanup and Coffee plans CoffeePreparation, which it never",
+        "saw. All are planned in by the same costs from the same test seeds; cloned policies act in them.",
     )
     head = ["model, and what it was trained on", "task", "Chamfer L1 (m)", "reward correlation", "planned", "steps"]
     told = "\n".join(sources)
     return f"## A task that no training saw\n\n{about}\n{_TRAINED}\n{grid(head, rows)}\n{told}"
 
 
-_ELSEWHERE = {
-    name.format(stem) for name in ("evaluate_{}", "plan_{}_closed", "cloned_{}") for stem in _TASKS.values()
-}
+_ELSEWHERE = {name.format(stem) for name in ("evaluate_{}", "plan_{}_closed", "cloned_{}") for stem in _TASKS.values()}
 """Results whose commands stand in other sections."""
 
 

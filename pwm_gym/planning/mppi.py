@@ -47,13 +47,21 @@ class MPPIConfig(SamplingConfig):
 
     @classmethod
     def hands(cls) -> MPPIConfig:
-        """As :meth:`fine`, for several arms with hands: fingers bend together, and some samples move all arms alike."""
+        """As :meth:`fine`, for several arms with hands that keep upright: fingers bend together, half of the samples
+        perturb one channel alone, and some move all arms alike.
+        """
         fine = cls.fine()
         turns = replace(fine.noise.rotation, sigma=(0.0, 0.0, 0.2))
         fingers = replace(fine.noise.finger, sigma=(0.5,), correlation=0.97, min_noise_scale=0.03, synergy=0.8)
         noise = replace(fine.noise, rotation=turns, finger=fingers)
-        shares = {"single_component_share": 0.2, "single_channel_share": 0.5, "together_share": 0.2}
-        return replace(fine, noise=noise, single_arm_share=0.4, **shares)
+        return replace(
+            fine,
+            noise=noise,
+            single_arm_share=0.4,
+            together_share=0.2,
+            single_channel_share=0.5,
+            single_component_share=0.2,
+        )
 
     @classmethod
     def paper(cls, horizon: int = 10) -> MPPIConfig:
