@@ -13,6 +13,8 @@ _MODELS = {
     "ParticleFormer+, MugCleanup and Coffee, partial clouds": ("evaluate_{}_particleformer", "plan_{}_particleformer"),
     "behaviour cloning, each task's demonstrations": ("", "cloned_{}"),
 }
+_ELSEWHERE = {name.format(stem) for name in ("evaluate_{}", "plan_{}_closed", "cloned_{}") for stem in _TASKS.values()}
+"""Results whose commands stand in other sections."""
 _TRAINED = """The model of all three tasks went on from `kitchen` for 25 minutes beside two other processes (16 of one
 processor), with few episodes:
 
@@ -49,10 +51,6 @@ def adaptation() -> str:
     head = ["model, and what it was trained on", "task", "Chamfer L1 (m)", "reward correlation", "planned", "steps"]
     told = "\n".join(sources)
     return f"## A task that no training saw\n\n{about}\n{_TRAINED}\n{grid(head, rows)}\n{told}"
-
-
-_ELSEWHERE = {name.format(stem) for name in ("evaluate_{}", "plan_{}_closed", "cloned_{}") for stem in _TASKS.values()}
-"""Results whose commands stand in other sections."""
 
 
 def _rollout(result: dict[str, Any] | None) -> list[str]:

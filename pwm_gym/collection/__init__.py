@@ -1,5 +1,6 @@
 """Collection of episodes: who acts, and parallel processes that record it."""
 
-from pwm_gym.collection.collect import CollectConfig, collect
+from pwm_gym.collection.collect import collect
+from pwm_gym.collection.config import CollectConfig
 
 __all__ = ["CollectConfig", "collect"]

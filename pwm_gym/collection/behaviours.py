@@ -62,8 +62,8 @@ class Demonstration:
         self.switch = int(rng.integers(0, self._length)) if rng.random() < randomise else -1
         self.kind = "expert" if self.switch < 0 else "randomised"
         self._step = 0
-        moves = [c.kind not in ("gripper", "finger") for c in task.control.channels for _ in range(c.start, c.stop)]
-        self._jitter = rng.uniform(0.0, jitter) * np.array(moves) if jitter else None
+        moves = np.array([kind not in ("gripper", "finger") for kind in task.control.kinds])
+        self._jitter = rng.uniform(0.0, jitter) * moves if jitter else None
         self._noise = np.zeros(task.action_size)
 
     def start(self, simulator: Simulator) -> None:

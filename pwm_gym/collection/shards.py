@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pwm_gym.collection.behaviours import Behaviour, Demonstration, OnPolicy, Practice
+from pwm_gym.collection.config import CollectConfig
 from pwm_gym.collection.practice import PRACTICE_STEPS
 from pwm_gym.data.dataset import asset_path, save_asset
 from pwm_gym.data.episodes import FORMAT, Episode, read_shard, write_shard
@@ -19,9 +19,6 @@ from pwm_gym.planning import Agent
 from pwm_gym.scene import SCHEMA, sample_clouds
 from pwm_gym.sim import Simulator
 from pwm_gym.tasks import Task
-
-if TYPE_CHECKING:
-    from pwm_gym.collection.collect import CollectConfig
 
 __all__ = ["SHARD_KINDS", "Shard", "save_assets"]
 

@@ -111,12 +111,12 @@ def _turned(points: Points, lidded: LiddedBox) -> Tensor:
 # Rules ------------------------------------------------------------------------------------------------------------
 
 
-def held(lidded: LiddedBox) -> Term:
-    """Bool (B,): both hands press on the lid's sides."""
+def held(lidded: LiddedBox, bounds: tuple[float, float] = PRESSED) -> Term:
+    """Bool (B,): both hands press on the lid's sides, their gaps within ``bounds``, metres."""
 
     def term(points: Points, info: Info) -> Tensor:
         gaps = _gaps(points, lidded.lid)
-        return ((gaps >= PRESSED[0]) & (gaps <= PRESSED[1])).all(-1)
+        return ((gaps >= bounds[0]) & (gaps <= bounds[1])).all(-1)
 
     return term
 
@@ -171,14 +171,14 @@ def sequence(lidded: LiddedBox, least: float, limit: float) -> list[Stage]:
         least: gap of hands that have left the lid.
         limit: rad/s of arms that rest.
     """
-    hold, rest = _between(lidded), seated(lidded)
+    hold, rest = held(lidded, _CARRIED), seated(lidded)
     pressing = {
         "grip": (6.0, _off_grip(lidded)),
         "press": (6.0, _open(lidded)),
         "held": (-2.0, _firmness(lidded)),
         "squeeze": (2.0, _off_squeeze(lidded)),
     }
-    carrying = {**pressing, "turn": (2.0, lambda p, i: _turned(p, lidded)), "way": (20.0, _way_onto(lidded))}
+    carrying = {**pressing, "turn": (4.0, lambda p, i: _turned(p, lidded)), "way": (20.0, _way_onto(lidded))}
     return [
         Stage(
             "surround",
@@ -247,16 +247,6 @@ def _off_grip(lidded: LiddedBox) -> Term:
     return term
 
 
-def _between(lidded: LiddedBox) -> Term:
-    """Bool (B,): the lid is between both hands; off the ground they carry it."""
-
-    def term(points: Points, info: Info) -> Tensor:
-        gaps = _gaps(points, lidded.lid)
-        return ((gaps >= _CARRIED[0]) & (gaps <= _CARRIED[1])).all(-1)
-
-    return term
-
-
 def _open(lidded: LiddedBox) -> Term:
     """How far (B,) both hands are from the lid's sides, in units of 3 cm."""
 
@@ -307,13 +297,13 @@ def _lift(lidded: LiddedBox) -> Term:
 
 
 def _way_onto(lidded: LiddedBox) -> Term:
-    """Way (B,) of the lid onto the box, up, over its place and down, a turn against it included: sharper when near."""
+    """Way (B,) of the lid onto the box, metres: up, over its place and down, sharper when near, a turn included."""
 
     def term(points: Points, info: Info) -> Tensor:
         offset = -_way(points, lidded)
         length = way_from_above(offset, _OVER_RIM, within=0.8 * _OVER[0], slope=0.02)
         beside = offset[..., :2].norm(dim=-1) + _LEVER * _turned(points, lidded)
-        return length + _LEVER * _turned(points, lidded) + 0.05 * torch.tanh(beside / 0.01)
+        return length + 0.05 * torch.tanh(beside / 0.01)
 
     return term
 

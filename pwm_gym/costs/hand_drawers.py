@@ -14,7 +14,7 @@ from pwm_gym.costs.drawers import Drawer
 from pwm_gym.costs.motion import speed
 from pwm_gym.costs.stages import Stage
 from pwm_gym.costs.terms import Info, Place, Term, nearness, way_from_above
-from pwm_gym.robots.two_hands import AMID, FACE, HELD, SIGN, TWO_HANDS
+from pwm_gym.robots.two_hands import AMID, FACE, HELD, SIGN
 from pwm_gym.sim.cabinets import DEEP_CABINET
 
 __all__ = ["DEEP_DRAWER", "beside", "facing", "held", "holds", "reach", "reach_handle", "sequence"]
@@ -238,8 +238,7 @@ def _off_grip(name: str) -> Term:
 
 def _thumb_aside(name: str) -> Term:
     """How far (B,) the right thumb is told to be from opposite to the fingers, and from straight."""
-    channel = TWO_HANDS.control.channel("right", "finger")
-    assert channel is not None
+    channel = hands.channel_of("right", "finger")
     swing, flex = channel.start, channel.start + 1
 
     def term(points: Points, info: Info) -> Tensor:

@@ -13,6 +13,7 @@ from torch import Tensor
 from pwm_gym.costs import contacts
 from pwm_gym.costs.contacts import Points, once
 from pwm_gym.costs.terms import Info, Place, Term
+from pwm_gym.robots.control import Channel, ChannelKind
 from pwm_gym.robots.two_hands import FINGERS, SIDES, SIGN, TOOL, TWO_HANDS, boxes, finger_targets
 
 __all__ = [
@@ -23,6 +24,7 @@ __all__ = [
     "bent",
     "bent_fingers",
     "bent_thumb",
+    "channel_of",
     "command",
     "ground_contact",
     "low",
@@ -85,18 +87,24 @@ def tilted(points: Points, info: Info) -> Tensor:
 
 def _targets(sides: tuple[str, ...], first: int) -> list[int]:
     """Components of an action that are finger targets of ``sides``, from the ``first`` of each hand on."""
-    channels = [TWO_HANDS.control.channel(side, "finger") for side in sides]
-    return [k for channel in channels if channel for k in range(channel.start + first, channel.stop)]
+    channels = [channel_of(side, "finger") for side in sides]
+    return [k for channel in channels for k in range(channel.start + first, channel.stop)]
 
 
 def _mean_bend(places: list[int]) -> Term:
     return lambda points, info: 0.5 * (info["action"][..., places] + 1.0).mean(-1)
 
 
+def channel_of(side: str, kind: ChannelKind) -> Channel:
+    """What one hand's actions of a kind are."""
+    channel = TWO_HANDS.control.channel(side, kind)
+    assert channel is not None
+    return channel
+
+
 def command(info: Info, side: str) -> Tensor:
     """Way (B, 3) that one hand is told to go in a step, metres."""
-    channel = TWO_HANDS.control.channel(side, "translation")
-    assert channel is not None
+    channel = channel_of(side, "translation")
     return channel.unit * info["action"][..., channel.slice]
 
 
@@ -112,9 +120,7 @@ def bent_fingers(*sides: str) -> Term:
 
 def bent_thumb(side: str) -> Term:
     """How far the second joint of one hand's thumb is told to bend, 0 straight to 1."""
-    channel = TWO_HANDS.control.channel(side, "finger")
-    assert channel is not None
-    place = channel.start + 1
+    place = channel_of(side, "finger").start + 1
     return lambda points, info: 0.5 * (info["action"][..., place] + 1.0)
 
 
