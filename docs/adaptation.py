@@ -15,7 +15,7 @@ _MODELS = {
 }
 _ELSEWHERE = {name.format(stem) for name in ("evaluate_{}", "plan_{}_closed", "cloned_{}") for stem in _TASKS.values()}
 """Results whose commands stand in other sections."""
-_TRAINED = """The model of all three tasks went on from `kitchen` for 25 minutes beside two other processes (16 of one
+_TRAINED = """The model of all three tasks went on from `kitchen` for 28 minutes beside two other processes (16 of one
 processor), with few episodes:
 
 ```
