@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -16,14 +16,14 @@ from tqdm import tqdm
 from pwm_gym.cameras import DepthCamera, RayCaster
 from pwm_gym.cameras.viewpoints import CAMERA
 from pwm_gym.data.batch import Batch
-from pwm_gym.data.dataset import Dataset, load_split
+from pwm_gym.data.dataset import Dataset, load_split, read_header
 from pwm_gym.data.simulated import SceneMeshes, simulator_of
 from pwm_gym.data.windows import Windows
 from pwm_gym.errors import DatasetError
 from pwm_gym.files import load_arrays, save_arrays
 from pwm_gym.scene import Layout, Scene, batch_state
 from pwm_gym.scene.se3 import matrix_from_pose7, transform
-from pwm_gym.tasks import Task
+from pwm_gym.tasks import Task, get_task
 
 if TYPE_CHECKING:
     import trimesh
@@ -35,6 +35,7 @@ __all__ = [
     "choose_visible",
     "partial_clouds",
     "visibility",
+    "visible_rows",
     "visible_split",
 ]
 
@@ -109,6 +110,23 @@ def visible_split(folder: Path, split: str, task: Task, dataset: Dataset | None 
         return visibility(dataset, lambda scene: {}, cache=cache)  # no mesh is needed
     with closing(simulator_of(task, dataset)) as simulator:
         return visibility(dataset, SceneMeshes(simulator), cache=cache)
+
+
+def visible_rows(folders: Sequence[Path], split: str, whole: Dataset, chosen: Dataset) -> np.ndarray:
+    """Points (F, N) that the default camera sees in the ``chosen`` episodes of a ``whole`` split of a task.
+
+    Args:
+        folders: of data sets; those of other tasks are passed over.
+        split: of them.
+        whole: its episodes, of all folders.
+        chosen: some of them.
+    """
+    task = get_task(whole.task)
+    own = [folder for folder in folders if read_header(folder).task == whole.task]
+    rows = np.concatenate([visible_split(folder, split, task) for folder in own])
+    episodes = np.split(rows, np.cumsum([len(e) + 1 for e in whole.episodes])[:-1])
+    places = {id(e): k for k, e in enumerate(whole.episodes)}
+    return np.concatenate([episodes[places[id(e)]] for e in chosen.episodes])
 
 
 def partial_clouds(

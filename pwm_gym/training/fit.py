@@ -16,7 +16,7 @@ from pwm_gym.data.augment import Reframed
 from pwm_gym.data.batch import Batches
 from pwm_gym.data.dataset import Dataset, load_split, read_header
 from pwm_gym.data.episodes import KINDS
-from pwm_gym.data.partial import PartialWindows, visible_split
+from pwm_gym.data.partial import PartialWindows, visible_rows
 from pwm_gym.data.windows import Windows, mixed
 from pwm_gym.dynamics.checkpoint import Checkpoint, SceneBank, load_checkpoint, resolve, save_checkpoint, use_device
 from pwm_gym.dynamics.model import WorldModel
@@ -99,9 +99,11 @@ def fit(config: FitConfig, training: TrainConfig, validate: Validate, progress: 
     out = config.out or Path("runs") / "+".join(task.name for task in tasks)
     with writing(out):  # before anything is fitted that could not be kept
         out.mkdir(parents=True, exist_ok=True)
-    sources = [_chosen(dataset, config, len(sources)) for dataset in sources]
+    every, sources = sources, [_chosen(dataset, config, len(sources)) for dataset in sources]
     held_out = load_sources(config.folders, "validation")
-    windows, seen = _windows(config, sources, held_out)
+    windows = _windows(config, every, sources)
+    partial = config.view == "partial"
+    seen = [visible_rows(config.folders, "validation", dataset, dataset) if partial else None for dataset in held_out]
     clock = Clock()
     torch.set_num_threads(training.threads)  # before the fits: sums depend on it, and a resumed run must find the same
     torch.manual_seed(training.seed)
@@ -126,8 +128,8 @@ def fit(config: FitConfig, training: TrainConfig, validate: Validate, progress: 
 
     def measure(trained: Any) -> dict[str, float]:
         if len(held_out) == 1:
-            return validate(trained, held_out[0], seen)
-        found = {dataset.task: validate(trained, dataset, None) for dataset in held_out}
+            return validate(trained, held_out[0], seen[0])
+        found = {dataset.task: validate(trained, dataset, rows) for dataset, rows in zip(held_out, seen, strict=True)}
         return {f"{task}/{name}": value for task, values in found.items() for name, value in values.items()}
 
     metrics = train(model, Reframed(windows), training, out, measure, save, progress, clock)
@@ -169,17 +171,17 @@ def _joints(sources: Sequence[Dataset]) -> list[str]:
     return sorted({e.joint.kind for dataset in sources for e in dataset.layout if not e.driven})
 
 
-def _windows(config: FitConfig, sources: list[Dataset], held_out: list[Dataset]) -> tuple[Batches, np.ndarray | None]:
-    """Training windows, and the validation's visible points where the view is partial."""
+def _windows(config: FitConfig, every: list[Dataset], sources: list[Dataset]) -> Batches:
+    """Training windows of ``sources``, the chosen episodes of ``every`` task's."""
     if config.view not in _VIEWS:
         raise unknown_name("view", config.view, _VIEWS)
     if config.view == "complete":
-        return mixed([Windows(dataset, config.boost, _ORDERS) for dataset in sources]), None
-    if config.episodes or config.kinds or len(config.folders) > 1:
-        raise DatasetError("view='partial' trains on all episodes of one data set; expected no choice of them")
-    folder, task = config.folders[0], get_task(sources[0].task)
-    seen = visible_split(folder, "train", task, sources[0])
-    return PartialWindows(sources[0], seen, boost=config.boost), visible_split(folder, "validation", task, held_out[0])
+        return mixed([Windows(dataset, config.boost, _ORDERS) for dataset in sources])
+    windows = []
+    for whole, chosen in zip(every, sources, strict=True):
+        seen = visible_rows(config.folders, "train", whole, chosen)
+        windows.append(PartialWindows(chosen, seen, boost=config.boost))
+    return mixed(windows)
 
 
 def load_sources(folders: Sequence[Path], split: str) -> list[Dataset]:

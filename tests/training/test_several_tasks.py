@@ -7,8 +7,11 @@ import numpy as np
 import pytest
 import torch
 
+from pwm_gym.data import load_split
+from pwm_gym.data.partial import visible_rows
 from pwm_gym.dynamics import load_checkpoint
 from pwm_gym.errors import DatasetError, PwmGymError, UnknownNameError
+from pwm_gym.files import save_arrays
 from pwm_gym.robots import Robot
 from pwm_gym.robots.panda import PANDA
 from pwm_gym.scene import batch_state
@@ -112,9 +115,31 @@ def test_episodes_are_shared_among_the_tasks(folders, tmp_path):
         fit(config(tmp_path / "more", *folders.values(), episodes=12), quick, count, progress=False)
 
 
-def test_partial_clouds_are_of_one_data_set(folders, tmp_path):
-    with pytest.raises(DatasetError, match="view='partial' trains on all episodes of one data set"):
-        fit(config(tmp_path / "run", *folders.values(), view="partial"), QUICK, count, progress=False)
+def test_partial_clouds_of_chosen_episodes(folders, tmp_path):
+    seen = {}
+    for name, folder in folders.items():
+        for split in ("train", "validation"):
+            dataset = load_split(folder, split)
+            frames = np.concatenate([np.full(len(e) + 1, k) for k, e in enumerate(dataset.episodes)])
+            seen[name, split] = np.arange(dataset.layout.points) % len(dataset.episodes) == frames[:, None]
+            save_arrays(folder / f"visible-{split}.npz", {"visible": np.packbits(seen[name, split], axis=1)})
+    validated = []
+
+    def validate(model, dataset, rows):
+        validated.append(np.array_equal(rows, seen[dataset.task, "validation"]))
+        return {"chamfer": 1.0}
+
+    chosen = config(tmp_path / "run", *folders.values(), view="partial", episodes=6)
+    assert (
+        load_checkpoint(fit(chosen, QUICK, validate, progress=False)).description["training"]["data"]["view"]
+        == "partial"
+    )
+    assert validated and all(validated)
+    whole = load_sources(chosen.folders, "train")[0]
+    rows = visible_rows(chosen.folders, "train", whole, whole.some(2))
+    ends = np.cumsum([len(e) + 1 for e in whole.episodes])
+    wanted = np.concatenate([seen["Cube", "train"][: ends[0]], seen["Cube", "train"][ends[-2] :]])
+    assert np.array_equal(rows, wanted)
 
 
 # Sources
