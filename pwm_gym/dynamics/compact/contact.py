@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
+from pwm_gym.dynamics.compact.boxes import Coordinates, box_gap, box_gap_and_way, coordinates, turned
 from pwm_gym.dynamics.compact.plan import Plan
 from pwm_gym.dynamics.compact.shapes import LENGTH, NEAR, TOUCH, Pooled, Shapes
 from pwm_gym.scene.se3 import transform
@@ -44,6 +45,25 @@ class Contacts:
     """0 (B, F, 1) where something touches the mover, 1 where nothing is near."""
     touching: Tensor | None
     """World-frame point (B, F, P, 3) of each mover that is nearest to each partner, where some move along joints."""
+
+
+@dataclass(frozen=True)
+class _Nearest:
+    """Of movers (F) and partners (P): the points of the one that are nearest to, or deepest in, a box of the other."""
+
+    gap: Tensor
+    """Signed distances (B, F, P), metres."""
+    index: Tensor
+    """The points' places (B, F, P)."""
+    way: Tensor
+    """Ways out (B, F, P, 3) of the box, in its axes."""
+
+    @classmethod
+    def of(cls, gap: Tensor, points: Coordinates, half: Coordinates) -> _Nearest:
+        """Of all points' distances (B, F, P, n), the points in the box's axes, and half its sides."""
+        smallest, index = gap.min(-1)
+        x, y, z = (place.gather(-1, index.unsqueeze(-1)) for place in points)
+        return cls(smallest, index, torch.cat(box_gap_and_way((x, y, z), half)[1], -1))
 
 
 class MoverContacts(nn.Module):
@@ -93,18 +113,25 @@ class MoverContacts(nn.Module):
         boxes = torch.cat([turns, -shift], -1)  # (B, 2, P, 3, 4): from the world to the axes of each entity's box
         (rows, local), sizes = self._rows(plan, poses, both, boxes, seen), plan.box_rows
         points = self._look_closer(plan, shapes, local, half)
+        count = plan.partners
         product = rows @ points[:, plan.movers]  # (B, F, R, n): all that is linear in the movers' points
         boxed, height, place, boxed_next, *others_rows = product.split([*sizes, *sizes, 3, len(self._hands)], 2)
-        gap, out = self._gaps(plan, boxed, boxed_next, local, points, centre, half)
-        count, most = plan.partners, plan.touchable
-        nearest, push, touching = self._pushes(plan, both[:, 1], gap[:, :, most:], out, points)
-        lowest = gap[:, :, :most].amin(-1)
+        there, back = _axes(boxed_next), self._theirs(plan, local, points, centre)
+        sides = coordinates(plan.with_walls(half[:, :count], plan.wall_half, 1)[:, None, ..., None], 3)
+        gap = box_gap(_axes(boxed), sides) + plan.apart
+        gap_next, out = box_gap_and_way(there, sides)
+        gap_next = gap_next + plan.apart
+        ahead, own = both[:, 1], coordinates(half[:, plan.movers, None, :, None], 3)
+        here = _Nearest.of(gap_next[:, :, :count], _first(there, count), _first(sides, count))
+        theirs = _Nearest.of(box_gap(back, own) + plan.apart[:, :count], back, own)
+        nearest, push = self._pushes(ahead[:, None, :count, :3, :3], ahead[:, plan.movers, None, :3, :3], here, theirs)
+        lowest = gap.amin(-1)
         pairs = self._pairs(
             now[:, :count], now[:, plan.movers], moves[:, :count], moves[:, plan.movers], lowest[:, :, :count], nearest
         )
-        turned = plan.with_walls(turns[:, 1, :count], plan.walls[:, :3, :3], 1) @ frames[:, :1, :3, :3]
+        axes = plan.with_walls(turns[:, 1, :count], plan.walls[:, :3, :3], 1) @ frames[:, :1, :3, :3]
         told = self._own(plan, height, place, others_rows, links_next, centre)
-        told += self._partners(gap[:, :, : 2 * most], _turned(turned.transpose(-1, -2).unsqueeze(1), out[:, :, :most]))
+        told += self._partners(gap, gap_next, turned(axes.transpose(-1, -2).unsqueeze(1), out))
         clear = torch.minimum(lowest.amin(-1), height.amin((-1, -2)) - plan.floor)
         return Contacts(
             told=self.net(told),
@@ -112,7 +139,7 @@ class MoverContacts(nn.Module):
             push=push,
             gaps=(lowest[:, :, :count], nearest),
             unsupported=((clear - _HANGING) / _HANGS).clamp(0.0, 1.0).unsqueeze(-1),
-            touching=touching,
+            touching=self._touching(plan, ahead, points, here.index) if plan.articulated else None,
         )
 
     @staticmethod
@@ -126,7 +153,7 @@ class MoverContacts(nn.Module):
         Args:
             plan: of the layout.
             shapes: of the entities.
-            local: maps (B, F, P, 3, 4) from the movers to the axes of the partners' boxes one step ahead.
+            local: maps (B, F, 3, P, 4) from the movers to the axes of the partners' boxes one step ahead.
             half: half the boxes' sides (B, P, 3).
         """
         points, clouds = shapes.points, shapes.clouds
@@ -134,8 +161,10 @@ class MoverContacts(nn.Module):
             return points
         count, near = plan.partners, points.shape[-1] // 2
         with torch.no_grad():
-            boxed = local @ clouds.unsqueeze(2)  # (B, F, P, 3, m)
-            gaps = (boxed.abs() - half[:, None, :count, :, None]).amax(-2) + plan.joined
+            boxed = _axes(local.flatten(2, 3) @ clouds)  # (B, F, P, m) each
+            sides = coordinates(half[:, None, :count, :, None], 3)
+            x, y, z = (place.abs() - side for place, side in zip(boxed, sides, strict=True))
+            gaps = torch.maximum(torch.maximum(x, y), z) + plan.joined
             nearest = gaps.amin(2).topk(near, -1, largest=False).indices  # (B, F, n / 2)
         points = points.clone()
         points[:, plan.movers, :, -near:] = clouds.gather(-1, nearest.unsqueeze(2).expand(-1, -1, 4, -1))
@@ -144,51 +173,41 @@ class MoverContacts(nn.Module):
     def _rows(self, plan: Plan, poses: Tensor, both: Tensor, boxes: Tensor, seen: Tensor) -> tuple[Tensor, Tensor]:
         """Maps (B, F, R, 4) of the movers' canonical points to all that is linear in them.
 
-        Their places in the axes of the boxes of partners and walls, their height and their place in the frame of
-        reference, now and one step ahead; their velocity; their heights if each hand carried them. The maps
-        (B, F, P, 3, 4) to the axes of the partners' boxes one step ahead are told apart, too.
+        Their places in the axes of the boxes of partners and walls (x of all, then y, then z), their height and their
+        place in the frame of reference, now and one step ahead; their velocity; their heights if each hand carried
+        them. The maps (B, F, 3, P, 4) to the axes of the partners' boxes one step ahead are told apart, too.
         """
-        count = plan.partners
-        fixed = plan.fixed_rows.expand(len(poses), 2, -1, -1)
-        outer = torch.cat([boxes[:, :, :count].flatten(2, 3), fixed, seen], 2)  # (B, 2, R', 4)
+        count, most = plan.partners, plan.touchable
+        axes = boxes[:, :, :count].transpose(2, 3)  # (B, 2, 3, P, 4)
+        if most > count:
+            axes = torch.cat([axes, plan.wall_rows.expand(len(poses), 2, -1, -1, -1)], 3)
+        up = plan.up.expand(len(poses), 2, -1, -1)
+        outer = torch.cat([axes.flatten(2, 3), up, seen], 2)  # (B, 2, R', 4)
         movers = both[:, :, plan.movers]  # (B, 2, F, 4, 4)
         inner = (outer @ movers.transpose(2, 3).flatten(3)).unflatten(-1, (-1, 4)).permute(0, 3, 1, 2, 4)
         here = movers[:, 0]
         rows = [inner.flatten(2, 3), seen[:, :1, :, :3] @ (here - poses[:, 1, plan.movers])[:, :, :3]]
-        rows += [both[:, 1, None, k, 2:3, :3] @ inner[:, :, 0, 3 * k : 3 * k + 3] for k in self._hands]
-        return torch.cat(rows, 2), inner[:, :, 1, : 3 * count].unflatten(2, (count, 3))
+        rows += [both[:, 1, None, k, 2:3, :3] @ inner[:, :, 0, k : 3 * most : most] for k in self._hands]
+        return torch.cat(rows, 2), inner[:, :, 1, : 3 * most].unflatten(2, (3, most))[:, :, :, :count]
 
     @staticmethod
-    def _gaps(
-        plan: Plan, boxed: Tensor, boxed_next: Tensor, local: Tensor, points: Tensor, centre: Tensor, half: Tensor
-    ) -> tuple[Tensor, Tensor]:
-        """Signed distances (B, F, 2 P' + P, n) of points to boxes, and ways out (B, F, P' + P, 3, n), the later ones'.
-
-        Of the movers' points to the P' boxes of partners and walls, now and one step ahead, and of the P partners'
-        points to the movers' boxes then.
+    def _theirs(plan: Plan, local: Tensor, points: Tensor, centre: Tensor) -> Coordinates:
+        """The partners' points, each (B, F, P, n), in the axes of the movers' boxes one step ahead.
 
         Args:
             plan: of the layout.
-            boxed: movers' points (B, F, 3 P', n) in the axes of the boxes.
-            boxed_next: the same one step ahead.
-            local: maps (B, F, P, 3, 4) from the movers to the axes of the partners' boxes then.
+            local: maps (B, F, 3, P, 4) from the movers to the axes of the partners' boxes then.
             points: canonical ones (B, E, 4, n).
             centre: the boxes' middles (B, E, 3).
-            half: half the boxes' sides (B, E, 3).
         """
         count, movers = plan.partners, len(plan.places)
-        local = local.transpose(1, 2)  # (B, P, F, 3, 4)
-        turned = local[..., :3].transpose(-1, -2)
-        shift = turned @ (local[..., 3:] + centre[:, :count, None, :, None]) + centre[:, None, plan.movers, :, None]
+        local = local.permute(0, 3, 1, 2, 4)  # (B, P, F, 3, 4)
+        back = local[..., :3].transpose(-1, -2)
+        shift = back @ (local[..., 3:] + centre[:, :count, None, :, None]) + centre[:, None, plan.movers, :, None]
         # A product of fewer than 400 multiplications takes a loop that is slower than a larger one: hence a fourth row.
-        back = nn.functional.pad(torch.cat([turned, -shift], -1), (0, 0, 0, 1)).flatten(2, 3)  # (B, P, 4 F, 4)
-        theirs = back @ points[:, :count]
-        theirs = theirs.unflatten(2, (movers, 4))[:, :, :, :3].transpose(1, 2)  # (B, F, P, 3, n)
-        rows = torch.cat([boxed.unflatten(2, (-1, 3)), boxed_next.unflatten(2, (-1, 3)), theirs], 2)
-        sides = plan.with_walls(half[:, :count], plan.wall_half, 1).unsqueeze(1).expand(-1, movers, -1, -1)
-        own = half[:, plan.movers].unsqueeze(2).expand(-1, -1, count, -1)
-        gap, out = _box_gap(rows, torch.cat([sides, sides, own], 2).unsqueeze(-1), plan.touchable)
-        return gap + plan.apart, out
+        back = nn.functional.pad(torch.cat([back, -shift], -1), (0, 0, 0, 1)).flatten(2, 3)  # (B, P, 4 F, 4)
+        theirs = (back @ points[:, :count]).unflatten(2, (movers, 4)).transpose(1, 2)
+        return coordinates(theirs[:, :, :, :3], 3)
 
     def _own(
         self, plan: Plan, height: Tensor, place: Tensor, others: list[Tensor], links_next: Tensor, centre: Tensor
@@ -221,51 +240,52 @@ class MoverContacts(nn.Module):
             torch.tanh(parts),
         ]
 
-    def _partners(self, gaps: Tensor, out: Tensor) -> list[Tensor]:
+    def _partners(self, gap: Tensor, gap_next: Tensor, out: Coordinates) -> list[Tensor]:
         """Rows (B, F, k, n) of what each point tells of its partners: of each link, and of all others together.
 
         Args:
-            gaps: (B, F, 2 P, n) now, and one step ahead.
-            out: ways out (B, F, P, 3, n) then.
+            gap: of the movers' points to partners and walls (B, F, P', n) now.
+            gap_next: the same one step ahead.
+            out: ways out then, each (B, F, P', n).
         """
-        gaps = gaps.unflatten(2, (2, -1)).transpose(2, 3)  # (B, F, P, 2, n)
-        known = torch.tanh(torch.cat([gaps / TOUCH, out / NEAR], 3))
+        known = torch.stack([gap / TOUCH, gap_next / TOUCH, *(way / NEAR for way in out)], 3).tanh()
         links = known[:, :, : self._links].flatten(2, 3)
         if known.shape[2] == self._links:
             return [links, known.new_zeros(*known.shape[:2], 6, known.shape[-1])]
         rest = known[:, :, self._links :]  # (B, F, k, 5, n)
-        fade = (1.0 - gaps[:, :, self._links :, 1:] / _FADE).clamp(0.0, 1.0)
+        fade = (1.0 - gap_next[:, :, self._links :].unsqueeze(3) / _FADE).clamp(0.0, 1.0)
         near = torch.cat([fade, fade * (1.0 - rest[:, :, :, :2]), fade * rest[:, :, :, 2:]], 3)
         return [links, near.sum(2)]
 
     @staticmethod
-    def _pushes(
-        plan: Plan, ahead: Tensor, gap: Tensor, out: Tensor, points: Tensor
-    ) -> tuple[Tensor, Tensor, Tensor | None]:
-        """Smallest gaps (B, F, P), ways out (B, F, P, 3) and nearest points (B, F, P, 3), one step ahead.
+    def _pushes(partners: Tensor, movers: Tensor, here: _Nearest, theirs: _Nearest) -> tuple[Tensor, Tensor]:
+        """Smallest gaps (B, F, P) and world-frame ways out of partners (B, F, P, 3), one step ahead.
 
-        Both the movers' points in the partners' boxes count, and the partners' points in the movers' boxes.
+        Args:
+            partners: rotations (B, 1, P, 3, 3).
+            movers: rotations (B, F, 1, 3, 3).
+            here: of the movers' points in the partners' boxes.
+            theirs: of the partners' points in the movers' boxes.
+        """
+        way = (partners @ here.way.unsqueeze(-1)).squeeze(-1)
+        way_back = -(movers @ theirs.way.unsqueeze(-1)).squeeze(-1)
+        chosen = torch.where((theirs.gap < here.gap).unsqueeze(-1), way_back, way)
+        nearest = torch.minimum(here.gap, theirs.gap)
+        return nearest, chosen * (nearest < 0.0).unsqueeze(-1)
+
+    @staticmethod
+    def _touching(plan: Plan, ahead: Tensor, points: Tensor, index: Tensor) -> Tensor:
+        """World-frame points (B, F, P, 3) of movers one step ahead.
 
         Args:
             plan: of the layout.
             ahead: poses (B, E, 4, 4) of all entities.
-            gap: of movers' points to partners and walls, then of partners' points to movers (B, F, P' + P, n).
-            out: the ways out (B, F, P' + P, 3, n).
             points: canonical ones (B, E, 4, n).
+            index: their places (B, F, P) among the movers'.
         """
-        count, most, there = plan.partners, plan.touchable, ahead[:, plan.movers]
-        smallest, index = gap.min(-1)
-        ways = _at(out, index).unsqueeze(-1)
-        way = (ahead[:, None, :count, :3, :3] @ ways[:, :, :count]).squeeze(-1)
-        way_back = -(there[:, :, None, :3, :3] @ ways[:, :, most:]).squeeze(-1)
-        nearest, nearest_back = smallest[:, :, :count], smallest[:, :, most:]
-        chosen = torch.where((nearest_back < nearest).unsqueeze(-1), way_back, way)
-        nearest = torch.minimum(nearest, nearest_back)
-        touching = None
-        if plan.articulated:
-            own = points[:, plan.movers, None, :3].expand(-1, -1, count, -1, -1)
-            touching = transform(there.unsqueeze(2), _at(own, index[:, :, :count]).unsqueeze(-2)).squeeze(-2)
-        return nearest, chosen * (nearest < 0.0).unsqueeze(-1), touching
+        canonical = points[:, plan.movers, None, :3].expand(-1, -1, index.shape[2], -1, -1)
+        chosen = canonical.gather(-1, index[..., None, None].expand(*index.shape, 3, 1)).squeeze(-1)
+        return transform(ahead[:, plan.movers, None], chosen.unsqueeze(-2)).squeeze(-2)
 
     @staticmethod
     def _pairs(now: Tensor, here: Tensor, moves: Tensor, own: Tensor, gap: Tensor, gap_next: Tensor) -> Tensor:
@@ -296,31 +316,12 @@ class MoverContacts(nn.Module):
         return torch.tanh(torch.stack(rows, -1))
 
 
-def _at(vectors: Tensor, index: Tensor) -> Tensor:
-    """Vectors (..., 3) of (..., 3, n) at places (...)."""
-    return vectors.gather(-1, index[..., None, None].expand(*index.shape, 3, 1)).squeeze(-1)
+def _axes(rows: Tensor) -> Coordinates:
+    """Coordinates (B, F, P, n) of rows (B, F, 3 P, n): x of all, then y, then z."""
+    return coordinates(rows.unflatten(2, (3, -1)), 2)
 
 
-def _turned(rotation: Tensor, vectors: Tensor) -> Tensor:
-    """Vectors (..., 3, n) turned by rotations (..., 3, 3); a product of so few rows takes three times as long."""
-    (a, b, c), (x, y, z) = rotation.split(1, -1), vectors.split(1, -2)
-    return torch.addcmul(torch.addcmul(a * x, b, y), c, z)
-
-
-def _box_gap(points: Tensor, half: Tensor, first: int) -> tuple[Tensor, Tensor]:
-    """Signed distance (..., G, n) of points (..., G, 3, n) to boxes about the origin, and the vectors of that length.
-
-    The vector leads from the box's surface to a point outside, and from a point inside to the nearest face.
-
-    Args:
-        points: in the boxes' axes.
-        half: half the boxes' sides (..., G, 3, 1).
-        first: place among G from which on vectors (..., G - first, 3, n) are told.
-    """
-    beyond = points.abs() - half
-    deepest, outside = beyond.amax(-2, keepdim=True), beyond.clamp_min(0.0)
-    inside = deepest.clamp_max(0.0)
-    gap = outside.square().sum(-2).clamp_min(1e-12).sqrt() + inside.squeeze(-2)
-    later = (..., slice(first, None), slice(None), slice(None))
-    face = 1.0 + (beyond[later] - deepest[later]).sign()  # 1 at the nearest one: comparisons take longer
-    return gap, points[later].sign() * (outside[later] - inside[later] * face)
+def _first(parts: Coordinates, count: int) -> Coordinates:
+    """The first ``count`` boxes' of coordinates (B, F, G, n)."""
+    x, y, z = (part[:, :, :count] for part in parts)
+    return x, y, z

@@ -67,10 +67,12 @@ class Plan:
     """Places of partners whose next poses are known before the loose entities'."""
     carried: bool
     """Whether there are any."""
-    fixed_rows: Tensor
-    """Rows (3 S + 1, 4) that take points of the world to the walls' axes, and to their heights."""
+    wall_rows: Tensor
+    """Rows (3, S, 4) that take points of the world to the walls' axes."""
+    up: Tensor
+    """Row (1, 4) that takes them to their height."""
     apart: Tensor
-    """Metres (F, 2 P' + partners, 1) by which movers are parted from :attr:`itself`; P' counts partners and walls."""
+    """Metres (F, P', 1) by which movers are parted from :attr:`itself`; P' counts partners and walls."""
     joined: Tensor
     """Metres (F, partners, 1) by which movers are parted from themselves, and from what they hang on along a joint: a
     drawer is always inside its cabinet's box, which tells nothing."""
@@ -128,8 +130,9 @@ class Plan:
             loose_places=_places(loose, device),
             carriers=_places(carriers, device),
             carried=bool(carriers),
-            fixed_rows=torch.cat([inverses[:, :3].flatten(0, 1), torch.tensor(_UP, device=device)]),
-            apart=torch.cat([from_boxes, from_boxes, _APART * itself], 1).unsqueeze(-1) if movers else torch.empty(0),
+            wall_rows=inverses[:, :3].transpose(0, 1),
+            up=torch.tensor(_UP, device=device),
+            apart=from_boxes.unsqueeze(-1) if movers else torch.empty(0),
             joined=_APART * (itself | hung).unsqueeze(-1) if movers else torch.empty(0),
             sorted=order == sorted(order),
         )
