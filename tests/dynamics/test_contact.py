@@ -86,5 +86,6 @@ def points_of(model, state, action):
 
 def gaps_to_boxes(points, local, half):
     """Chebyshev gaps (B, n) of a mover's points (B, n, 3) to the nearest of its partners' boxes."""
-    places = torch.einsum("bpij,bnj->bpni", local[:, 0, :, :, :3], points) + local[:, 0, :, None, :, 3]
-    return (places.abs() - half[:, : local.shape[2], None]).amax(-1).amin(1)
+    maps = local[:, 0].transpose(1, 2)  # (B, P, 3, 4)
+    places = torch.einsum("bpij,bnj->bpni", maps[..., :3], points) + maps[:, :, None, :, 3]
+    return (places.abs() - half[:, : maps.shape[1], None]).amax(-1).amin(1)
