@@ -256,6 +256,17 @@ def test_evaluate_writes_its_table(short_episodes, data_folder, tmp_path, capsys
         assert strips.width > 500 and strips.height > 250
 
 
+def test_a_model_of_partial_clouds_starts_from_what_a_camera_sees(short_episodes, tmp_path, capsys):
+    train = f"train --data {short_episodes} --out {tmp_path}/run --model particleformer --view partial --loss hybrid"
+    main([*train.split(), "--phases", "1", "2", "4", "--arm-steps", "1", "--threads", "1", "--settings", "width", "16"])
+    args = f"evaluate --data {short_episodes} --checkpoint {tmp_path}/run/checkpoint --threads 1 --every 4"
+    main([*args.split(), "--json", str(tmp_path / "partial.json")])
+    results = json.loads((tmp_path / "partial.json").read_text())
+    assert results["view"] == "partial" and list(results["rows"]) == ["particleformer", "still", "commanded", "linear"]
+    assert results["rows"]["particleformer"]["practice"]["chamfer_l1"] > 0.001
+    assert "particleformer" in capsys.readouterr().out
+
+
 def test_plan_writes_its_table(tmp_path, capsys):
     args = "plan --episodes 1 --max-steps 3 --threads 1 --samples 8 --horizon 2"
     main([*args.split(), "--json", str(tmp_path / "plan.json")])

@@ -31,6 +31,7 @@ _WITHOUT_LEARNING = ("still", "commanded", "linear")
 class Evaluate:
     """Roll a checkpoint out on a data set's test split, beside baselines, an oracle end effector and floors.
 
+    A model that was trained on partial clouds starts from such ones, and is measured in rollouts alone.
     With ``--table``, train and evaluate every row of one of the paper's tables instead; what is there already is kept.
     """
 
@@ -119,8 +120,11 @@ class Evaluate:
         training = load_split(self.fit_data or data, "train", task.name)
         starts = {} if self.completer is None else _completed_starts(task, dataset, self.completer, self.sensor)
         floors = self._floors(task, dataset) if self.floors else {}
-        models: dict[str, WorldModel] = {checkpoint.kind: checkpoint.model}
-        models |= {name: fit_baseline(name, training) for name in _WITHOUT_LEARNING}
+        baselines = {name: fit_baseline(name, training) for name in _WITHOUT_LEARNING}
+        models: dict[str, WorldModel] = {checkpoint.kind: checkpoint.model, **baselines}
+        if checkpoint.description["training"].get("data", {}).get("view") == "partial":
+            self._partial(models, task, dataset, data)
+            return
         rows = {k: evaluate_rollouts(model, task, dataset, every=self.every) for k, model in models.items()}
         rows["oracle effector"] = evaluate_rollouts(checkpoint.model, task, dataset, oracle=True, every=self.every)
         for view, start in starts.items():
@@ -148,6 +152,22 @@ class Evaluate:
                 "long_rollouts": {**long, "mixed_actions": curves},
             }
             write_results(self.json, results)
+
+    def _partial(self, models: dict[str, WorldModel], task: Task, dataset: Dataset, data: Path) -> None:
+        """Rollouts alone of a model of partial clouds, the first of ``models``, from what the default camera sees."""
+        from pwm_gym.data.partial import visible_split
+        from pwm_gym.evaluation import evaluate_rollouts, write_results
+        from pwm_gym.evaluation.rollouts import observed_start
+        from pwm_gym.evaluation.text import report_text
+
+        start = observed_start(dataset, visible_split(data, self.split, task, dataset))
+        rows = {
+            kind: evaluate_rollouts(model, task, dataset, every=self.every, start=None if k else start)
+            for k, (kind, model) in enumerate(models.items())
+        }
+        print(report_text(task, rows, {}, {}))
+        if self.json is not None:
+            write_results(self.json, {"split": self.split, "every": self.every, "view": "partial", "rows": rows})
 
     def _check(self) -> None:
         """Refuse numbers that cannot be, and options that nothing would read."""
