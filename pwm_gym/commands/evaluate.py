@@ -118,13 +118,13 @@ class Evaluate:
         checkpoint = load_checkpoint(resolve(self.checkpoint, task.name))
         checkpoint.check_joints(task.layout)
         training = load_split(self.fit_data or data, "train", task.name)
-        starts = {} if self.completer is None else _completed_starts(task, dataset, self.completer, self.sensor)
-        floors = self._floors(task, dataset) if self.floors else {}
         baselines = {name: fit_baseline(name, training) for name in _WITHOUT_LEARNING}
         models: dict[str, WorldModel] = {checkpoint.kind: checkpoint.model, **baselines}
         if checkpoint.description["training"].get("data", {}).get("view") == "partial":
             self._partial(models, task, dataset, data)
             return
+        starts = {} if self.completer is None else _completed_starts(task, dataset, self.completer, self.sensor)
+        floors = self._floors(task, dataset) if self.floors else {}
         rows = {k: evaluate_rollouts(model, task, dataset, every=self.every) for k, model in models.items()}
         rows["oracle effector"] = evaluate_rollouts(checkpoint.model, task, dataset, oracle=True, every=self.every)
         for view, start in starts.items():
