@@ -6,7 +6,7 @@ fingers' links hang on it by the joints of the model. The public frame is MuJoCo
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -174,18 +174,20 @@ RELOCATE_HAND = _robot("adroit_relocate", RELOCATE_ARM)
 """Of the ball's task (30 components)."""
 
 
-def posture(arm: np.ndarray, wrist: np.ndarray, bend: float) -> np.ndarray:
+def posture(arm: np.ndarray, wrist: np.ndarray, bend: float, thumb: Sequence[float] | None = None) -> np.ndarray:
     """Action (A,) that closes the fingers together.
 
     Args:
         arm: targets of the forearm's joints in [-1, 1].
         wrist: targets of the wrist's two joints in [-1, 1].
         bend: of the fingers, 0 straight to 1 bent by a right angle at each joint.
+        thumb: targets of the thumb's first two joints in [-1, 1]; None bends them with the fingers.
     """
     shut = 2.0 * bend - 1.0
     finger = [0.0, shut, shut, shut]
-    thumb = [bend, shut, 0.0, 0.0, -shut]
-    return np.clip(np.r_[arm, wrist, finger * 3, -1.0, finger, thumb], -1.0, 1.0).astype(np.float32)
+    base, proximal = (bend, shut) if thumb is None else thumb
+    targets = np.r_[arm, wrist, finger * 3, -1.0, finger, base, proximal, 0.0, 0.0, -shut]
+    return np.clip(targets, -1.0, 1.0).astype(np.float32)
 
 
 def layout(objects: Mapping[str, int], joints: Mapping[str, Joint], table: bool = True, points: int = 40) -> Layout:

@@ -1,7 +1,8 @@
-"""Structured exploration of a hand that is told joint targets: reach, grasp, perturb."""
+"""A hand that is told joint targets brings the place before its palm somewhere, and bends its fingers."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,7 +36,13 @@ class HandReach:
         return float((upper.inv() * lower).magnitude() / (0.5 * np.pi))
 
     def act(
-        self, poses: np.ndarray, target: np.ndarray, bend: float, wrist: np.ndarray, roll: float = 0.0
+        self,
+        poses: np.ndarray,
+        target: np.ndarray,
+        bend: float,
+        wrist: np.ndarray,
+        roll: float = 0.0,
+        thumb: Sequence[float] | None = None,
     ) -> np.ndarray:
         """Action (A,).
 
@@ -45,10 +52,11 @@ class HandReach:
             bend: of the fingers, 0 straight to 1.
             wrist: targets of the wrist's two joints in [-1, 1].
             roll: radians by which the forearm shall turn about itself beside the way.
+            thumb: targets of the thumb's first two joints in [-1, 1]; None bends them with the fingers.
         """
         forearm, place = poses[_FOREARM], tool_pose(poses)[:3]
         jacobian = self.arm.jacobian(forearm, place)
         gram = jacobian @ jacobian.T + _DAMPING * np.eye(3)
         step = jacobian.T @ np.linalg.solve(gram, self.gain * (target - place))
         step[-1] += roll
-        return posture(self.arm.targets(self.arm.joints(forearm) + step), wrist, bend)
+        return posture(self.arm.targets(self.arm.joints(forearm) + step), wrist, bend, thumb)

@@ -1,4 +1,4 @@
-"""The Adroit tasks in their simulator: the hand's description, rewards, restoring, exploration."""
+"""The Adroit tasks in their simulator: the hand's description, rewards, restoring, experts."""
 
 from dataclasses import replace
 
@@ -191,22 +191,16 @@ def test_the_twin_passes_gymnasiums_checks(twins):
     check_env(twins["AdroitHandRelocate"], skip_render_check=True)
 
 
-def explored(simulator, task, seed, steps=100):
-    """The simulator after an explorer's way."""
+@pytest.mark.parametrize(("name", "seeds", "least"), [("AdroitHandDoor", 6, 3), ("AdroitHandRelocate", 4, 4)])
+def test_the_expert_succeeds(twins, name, seeds, least):
+    twin = twins[name]
+    assert sum(succeeds(twin.simulator, twin.task, seed) for seed in range(seeds)) >= least
+
+
+def succeeds(simulator, task, seed):
+    """Whether the expert gets there within an episode's steps."""
     simulator.reset(seed)
-    explorer = task.expert(np.random.default_rng(seed))
-    for _ in range(steps):
-        simulator.step(explorer.act(simulator.poses(), simulator.goal()))
-    return simulator
-
-
-def test_explorers_touch_what_their_task_is_about(twins):
-    """The latch is turned, the ball is moved, in most episodes."""
-    door, ball = (twins[name] for name in NAMES)
-    turned = [float(explored(door.simulator, door.task, k).data.joint("latch").qpos[0]) for k in range(3)]
-    moved = []
-    for seed in range(3):
-        ball.simulator.reset(seed)
-        first = ball.simulator.pose("ball")[:3]
-        moved.append(float(np.linalg.norm(explored(ball.simulator, ball.task, seed).pose("ball")[:3] - first)))
-    assert np.median(turned) > 0.5 and np.median(moved) > 0.03, (turned, moved)
+    expert = task.expert(np.random.default_rng(seed))
+    return any(
+        simulator.step(expert.act(simulator.poses(), simulator.goal())).success for _ in range(task.max_episode_steps)
+    )
