@@ -12,6 +12,7 @@ from agents import learned, ranked
 from formatting import ROOT, SUCCESS_HEAD, grid, number, paragraph, read, source, success
 from glance import glance
 from published import published
+from reliability import reliability
 from tables import all_tables, completed_rollouts, completion, planning_table, rates, shared, speed, task_tables
 from trained import TRAINED
 
@@ -144,6 +145,7 @@ def page() -> str:
         shared(),
         speed(),
         rates(),
+        reliability(),
         _LIMITS,
     ]
     return "\n".join(part.rstrip() + "\n" for part in parts if part)
