@@ -8,7 +8,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-__all__ = ["Coordinates", "box_gap", "box_gap_and_way", "coordinates", "turned"]
+__all__ = ["Coordinates", "box_depth", "box_gap", "box_gap_and_way", "coordinates", "turned"]
 
 Coordinates = tuple[Tensor, Tensor, Tensor]
 """Of vectors: x, y and z, metres, of equal shapes."""
@@ -18,6 +18,11 @@ def coordinates(vectors: Tensor, dim: int) -> Coordinates:
     """The three places of ``vectors`` along ``dim``."""
     x, y, z = vectors.unbind(dim)
     return x, y, z
+
+
+def box_depth(points: Coordinates, half: Coordinates) -> Tensor:
+    """Largest coordinate by which points are beyond their box, negative inside: cheaper, and as good to compare."""
+    return _deepest(_beyond(points, half))
 
 
 def box_gap(points: Coordinates, half: Coordinates) -> Tensor:
@@ -54,9 +59,13 @@ def _beyond(points: Coordinates, half: Coordinates) -> Coordinates:
     return x, y, z
 
 
+def _deepest(beyond: Coordinates) -> Tensor:
+    return torch.maximum(torch.maximum(beyond[0], beyond[1]), beyond[2])
+
+
 def _gap(beyond: Coordinates) -> tuple[Tensor, Coordinates, Tensor, Tensor]:
     """Signed distance, how far outside along each axis, the largest of ``beyond``, and that where it is negative."""
-    deepest = torch.maximum(torch.maximum(beyond[0], beyond[1]), beyond[2])
+    deepest = _deepest(beyond)
     x, y, z = (over.clamp_min(0.0) for over in beyond)
     inside = deepest.clamp_max(0.0)
     squares = torch.addcmul(torch.addcmul(x * x, y, y), z, z)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-from pwm_gym.dynamics.compact.boxes import Coordinates, box_gap, box_gap_and_way, coordinates, turned
+from pwm_gym.dynamics.compact.boxes import Coordinates, box_depth, box_gap, box_gap_and_way, coordinates, turned
 from pwm_gym.dynamics.compact.plan import Plan
 from pwm_gym.dynamics.compact.shapes import LENGTH, NEAR, TOUCH, Pooled, Shapes
 from pwm_gym.scene.se3 import transform
@@ -162,9 +162,7 @@ class MoverContacts(nn.Module):
         count, near = plan.partners, points.shape[-1] // 2
         with torch.no_grad():
             boxed = _axes(local.flatten(2, 3) @ clouds)  # (B, F, P, m) each
-            sides = coordinates(half[:, None, :count, :, None], 3)
-            x, y, z = (place.abs() - side for place, side in zip(boxed, sides, strict=True))
-            gaps = torch.maximum(torch.maximum(x, y), z) + plan.joined
+            gaps = box_depth(boxed, coordinates(half[:, None, :count, :, None], 3)) + plan.joined
             nearest = gaps.amin(2).topk(near, -1, largest=False).indices  # (B, F, n / 2)
         points = points.clone()
         points[:, plan.movers, :, -near:] = clouds.gather(-1, nearest.unsqueeze(2).expand(-1, -1, 4, -1))
