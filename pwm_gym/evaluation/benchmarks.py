@@ -24,6 +24,7 @@ from pwm_gym.planning import MPPIConfig, RolloutObjective, build_planner
 from pwm_gym.planning.adapters import FlatModel
 from pwm_gym.scene import Scene, batch_state, sample_clouds
 from pwm_gym.seeds import seed_range
+from pwm_gym.sim import Simulator
 from pwm_gym.tasks import Task
 
 __all__ = [
@@ -42,11 +43,30 @@ _LEAST_NOISE = 1e-3  # pytorch_mppi's may not be 0
 
 
 def simulator_rate(task: Task, seconds: float) -> float:
-    """Steps a second of the simulator's own environment under random actions (Gymnasium's benchmark)."""
+    """Steps a second of the simulator's own environment under random actions (Gymnasium's benchmark).
+
+    Of a simulator without one, of the simulator itself.
+    """
     twin: Any = gym.make(f"pwm/{task.name}Sim-v0").unwrapped
-    rate = benchmark_step(twin.simulator.env, target_duration=seconds, seed=0)  # type: ignore[arg-type]
+    environment = getattr(twin.simulator, "env", None)
+    if environment is None:
+        rate = _own_rate(twin.simulator, twin.action_space, seconds)
+    else:
+        rate = benchmark_step(environment, target_duration=seconds, seed=0)  # type: ignore[arg-type]
     twin.close()
     return rate
+
+
+def _own_rate(simulator: Simulator, actions: gym.Space[Any], seconds: float) -> float:
+    """Steps a second of a simulator under random actions, episodes included."""
+    actions.seed(0)
+    start, steps = time.perf_counter(), 0
+    while time.perf_counter() - start < seconds:
+        if steps % _EPISODE == 0:
+            simulator.reset(steps)
+        simulator.step(actions.sample())
+        steps += 1
+    return steps / (time.perf_counter() - start)
 
 
 def model_rates(task: Task, counts: Sequence[int], seconds: float) -> dict[int, float]:

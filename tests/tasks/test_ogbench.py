@@ -109,7 +109,7 @@ def test_a_scene_of_an_episode_has_the_same_future(twin):
 
 def test_evaluation_tasks_are_ogbenchs_own(simulator, monkeypatch):
     """Of seed s task 1 + s modulo 5: its goal, and its start by a centimetre."""
-    infos = simulator.world._env.task_infos
+    infos = simulator.world.env.task_infos
     for starts, seed, number in [("tasks", 0, 0), ("tasks", 4, 4), ("tasks", 8, 3), ("task3", 7, 2)]:
         monkeypatch.setattr(simulator.world, "_starts", starts)
         simulator.reset(seed)
@@ -191,7 +191,7 @@ def test_targets_are_where_the_environment_drives_the_tool(simulator):
             simulator.step(np.clip(action, -1, 1))
             action = torch.as_tensor(np.clip(action, -1, 1))
             wanted = kinematics.target(hand, 0.05 * action[:3], yaw=0.3 * action[3:4]) @ kinematics.grip.double()
-            told = simulator.world._env._target_effector_pose.as_matrix()
+            told = simulator.world.env._target_effector_pose.as_matrix()
             np.testing.assert_allclose(wanted, told, atol=2e-6)
 
 

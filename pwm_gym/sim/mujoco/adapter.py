@@ -100,6 +100,11 @@ class MujocoSimulator:
         self._base_matrix = rotation(self._base).as_matrix()
         self._base_product = _product_with_inverse(self._base[3:])
 
+    @property
+    def env(self) -> Any:
+        """The environment of its own that the world steps; None where it steps its model alone."""
+        return getattr(self.world, "env", None)
+
     @classmethod
     def from_xml(cls, xml: str | Path, bodies: Mapping[str, str], frame_skip: int = 20, **options: Any) -> Self:
         """A simulator of an XML, whose actions span the ranges of its actuators.

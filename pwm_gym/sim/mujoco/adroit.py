@@ -32,33 +32,33 @@ class AdroitWorld:
     """
 
     def __init__(self, env_id: str, target: str | None = None) -> None:
-        self._env = make_environment(env_id)
-        self.model, self.data = self._env.model, self._env.data
-        self.action_size = int(np.prod(self._env.action_space.shape))
-        self.period = float(self._env.dt)
-        self.frame_skip = int(self._env.frame_skip)
+        self.env = make_environment(env_id)
+        self.model, self.data = self.env.model, self.env.data
+        self.action_size = int(np.prod(self.env.action_space.shape))
+        self.period = float(self.env.dt)
+        self.frame_skip = int(self.env.frame_skip)
         self._target = None if target is None else self.model.site(target)
         self.reward = 0.0
         """The environment's own reward of the last step."""
 
     def reset(self, seed: int) -> None:
         """Start the environment's episode of ``seed``."""
-        self._env.reset(seed=int(seed))
+        self.env.reset(seed=int(seed))
 
     def clear(self) -> None:
         """Go to the initial positions."""
         import mujoco
 
         mujoco.mj_resetData(self.model, self.data)
-        self.data.qpos[:] = self._env.init_qpos
+        self.data.qpos[:] = self.env.init_qpos
 
     def step(self, action: np.ndarray) -> None:
         """The environment's own step."""
-        self.reward = float(self._env.step(action)[1])
+        self.reward = float(self.env.step(action)[1])
 
     def drive(self, action: np.ndarray) -> None:
         """Set the actuators' controls as the environment's step does for an action (A,)."""
-        self.data.ctrl[:] = self._env.act_mean + np.clip(action, -1.0, 1.0) * self._env.act_rng
+        self.data.ctrl[:] = self.env.act_mean + np.clip(action, -1.0, 1.0) * self.env.act_rng
 
     def settle(self) -> None:
         """Nothing: the model's steps are all."""
@@ -74,9 +74,9 @@ class AdroitWorld:
 
     def close(self) -> None:
         """Free the environment's renderer; calling it twice is harmless."""
-        if self._env is not None:
-            self._env.close()
-            self._env = None
+        if self.env is not None:
+            self.env.close()
+            self.env = None
 
 
 def door_simulator() -> MujocoSimulator:

@@ -54,13 +54,13 @@ class CubeWorld:
         if cubes not in _VARIANTS:
             raise PwmGymError(f"cubes={cubes}; expected 1 or 2")
         self._cubes, self._starts = cubes, starts
-        self._env = _make(_VARIANTS[cubes])
+        self.env = _make(_VARIANTS[cubes])
         with _quietly():
-            self._env.reset(seed=0, options={"task_id": 1})  # which makes the model
+            self.env.reset(seed=0, options={"task_id": 1})  # which makes the model
         self.play: PlayStart | None = None
-        self.model, self.data = self._env.model, self._env.data
-        self.action_size = len(self._env.action_low)
-        self.period = float(self._env.control_timestep())
+        self.model, self.data = self.env.model, self.env.data
+        self.action_size = len(self.env.action_low)
+        self.period = float(self.env.control_timestep())
         self._home = self.data.qpos.copy()
         self._targets = [int(self.model.body(f"object_target_{k}").mocapid[0]) for k in range(cubes)]
 
@@ -69,9 +69,9 @@ class CubeWorld:
         self.play = None
         with _quietly():
             if self._starts != "play":
-                self._env.reset(seed=int(seed), options=self._options(int(seed)))
+                self.env.reset(seed=int(seed), options=self._options(int(seed)))
                 return
-            self.play = start_in_play(self._env, int(seed))
+            self.play = start_in_play(self.env, int(seed))
         self.set_goal(self.play.goal)
 
     def _options(self, seed: int) -> dict[str, Any]:
@@ -91,7 +91,7 @@ class CubeWorld:
 
     def step(self, action: np.ndarray) -> None:
         """The environment's own step."""
-        self._env.step(_turned(action))
+        self.env.step(_turned(action))
 
     def goal(self) -> np.ndarray:
         """Where the cubes shall be (3 K,)."""
@@ -103,10 +103,10 @@ class CubeWorld:
 
     def close(self) -> None:
         """Give the environment back; calling it twice is harmless."""
-        if self._env is not None:
-            self._env.close()
-            _FREE.setdefault(_VARIANTS[self._cubes], []).append(self._env)
-            self._env = None
+        if self.env is not None:
+            self.env.close()
+            _FREE.setdefault(_VARIANTS[self._cubes], []).append(self.env)
+            self.env = None
 
 
 _FREE: dict[str, list[Any]] = {}

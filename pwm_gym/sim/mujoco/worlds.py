@@ -166,51 +166,52 @@ class RoboticsWorld:
     """
 
     def __init__(self, env_id: str) -> None:
-        self._env = make_environment(env_id)
+        self.env = make_environment(env_id)
+        """The environment."""
         for name in ("model", "data", "goal", "initial_qpos"):
-            if not hasattr(self._env, name):
+            if not hasattr(self.env, name):
                 raise PwmGymError(f"{env_id} has no {name!r}; expected a goal environment of Gymnasium-Robotics")
-        self.model, self.data = self._env.model, self._env.data
-        self.action_size = int(np.prod(self._env.action_space.shape))
-        self.period = float(self._env.dt)
+        self.model, self.data = self.env.model, self.env.data
+        self.action_size = int(np.prod(self.env.action_space.shape))
+        self.period = float(self.env.dt)
         self.frame_skip = round(self.period / float(self.model.opt.timestep))
 
     def reset(self, seed: int) -> None:
         """Start the environment's episode of ``seed``."""
-        self._env.reset(seed=int(seed))
+        self.env.reset(seed=int(seed))
 
     def clear(self) -> None:
         """Go to the robot's initial positions; objects are where the model puts them."""
         import mujoco
 
         mujoco.mj_resetData(self.model, self.data)
-        self.data.qpos[:] = self._env.initial_qpos
+        self.data.qpos[:] = self.env.initial_qpos
 
     def step(self, action: np.ndarray) -> None:
         """The environment's own step."""
-        self._env.step(action)
+        self.env.step(action)
 
     def drive(self, action: np.ndarray) -> None:
         """Set controls and mocap bodies as the environment's step does for an action (A,)."""
-        self._env._set_action(np.clip(action, -1.0, 1.0))
+        self.env._set_action(np.clip(action, -1.0, 1.0))
 
     def settle(self) -> None:
         """What the environment does after its model's steps: some keep their fingers shut."""
-        self._env._step_callback()
+        self.env._step_callback()
 
     def goal(self) -> np.ndarray:
         """The environment's desired goal (G,)."""
-        return np.array(self._env.goal, float)
+        return np.array(self.env.goal, float)
 
     def set_goal(self, goal: np.ndarray) -> None:
         """Make ``goal`` (G,) the environment's."""
-        self._env.goal = np.array(goal, float)
+        self.env.goal = np.array(goal, float)
 
     def close(self) -> None:
         """Free the environment's renderer; calling it twice is harmless."""
-        if self._env is not None:
-            self._env.close()
-            self._env = None
+        if self.env is not None:
+            self.env.close()
+            self.env = None
 
 
 def _load(xml: str | Path) -> Any:
