@@ -21,6 +21,13 @@ _LATER = (
 )
 _LONG_TASKS = {"MugCleanup": "mug_cleanup", "Coffee": "coffee", "CoffeePreparation": "coffee_preparation"}
 _TASKS = {"StackCube": "stack_cube", "PickYCB": "pick_ycb"}
+_MUJOCO_TASKS = {
+    "FetchReach": "fetch_reach",
+    "FetchPush": "fetch_push",
+    "FetchPickAndPlace": "fetch_pick_and_place",
+    "FetchSlide": "fetch_slide",
+    "OGBenchCubeSingle": "ogbench_cube_single",
+}
 
 
 def planning_table(name: str, title: str = "") -> str:
@@ -172,19 +179,21 @@ def shared() -> str:
 def rates() -> str:
     """Environment steps a second of every task that was timed, beside its simulator's."""
     rows, sources = [], []
-    for task, suffix in {"PickCube": "pick_cube", **_TASKS, **_LONG_TASKS}.items():
+    for task, suffix in {"PickCube": "pick_cube", **_TASKS, **_LONG_TASKS, **_MUJOCO_TASKS}.items():
         if (result := read(f"bench_{suffix}")) is not None:
             raw, rate = result["simulator_steps_per_second"], result["model_steps_per_second"]
             cells = [f"{rate[n]:,.0f} ({rate[n] / raw:.0f} x)" for n in ("256", "1024")]
-            rows.append([task, f"{raw:,.0f}", *cells])
+            whole = [seconds for size, seconds in result["plan_seconds"].items() if size.startswith("100 x 10 x ")]
+            planned = number(whole[0], 2) if whole else "-"
+            rows.append([task, f"{raw:,.0f}", *cells, planned, str(result["machine"]["torch_threads"])])
             sources.append(source(f"bench_{suffix}", result))
     if not rows:
         return ""
     about = paragraph(
-        "Environment steps a second in one process, and how many times the raw simulator's. PickCube's are of two",
-        "threads, the others' of one, beside another process that kept the other core busy.",
+        "Environment steps a second in one process, and how many times the raw simulator's; seconds of one plan of 100",
+        "samples and 10 steps. Where one thread was used, another process kept the other core busy.",
     )
-    head = ["task", "raw simulator", "`make_vec(num_envs=256)`", "`make_vec(num_envs=1024)`"]
+    head = ["task", "raw simulator", "`make_vec(num_envs=256)`", "`make_vec(num_envs=1024)`", "one plan (s)", "threads"]
     told = "\n".join(sources)
     return f"## Speed of every task\n\n{told}\n{about}\n{grid(head, rows)}"
 
