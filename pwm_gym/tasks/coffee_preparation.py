@@ -45,6 +45,7 @@ _LID, _DRAWER = lids.COFFEE_LID, drawers.CABINET_DRAWER
 _holds_mug, _holds_pod = objects.held("mug"), terms.pinch("pod")
 _stand = lids.before(_LID, "mug")
 _stands = terms.resting_on("mug", _stand, beside=0.02, height=0.006)
+_placed = terms.resting_on("mug", _stand, beside=0.012, height=0.006)  # its axis, which counts, is off its cloud's mean
 _seated = lids.seated(_LID, "pod", *SEATED)
 _is_open, _is_shut = drawers.open_to(_DRAWER, LOW_CABINET.opened), lids.shut_to(_LID, SHUT_ANGLE)
 register_grasp("coffee_preparation")(_holds_pod)
@@ -80,7 +81,7 @@ register_terms(  # minus the simulator's normalised shaped reward
 register_stages(
     "coffee_preparation_plan",
     [
-        sequences.place("mug", "machine", _stand, _stands),
+        sequences.place("mug", "machine", _stand, _placed, stays=_stands),
         sequences.leave("mug"),
         sequences.open_drawer(_DRAWER, LOW_CABINET.opened),
         sequences.take_out("pod", _DRAWER, 0.06, until=_seated),
