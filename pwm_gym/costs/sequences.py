@@ -120,18 +120,15 @@ def take_out(name: str, drawer: Drawer, height: float, until: Term | None = None
     )
 
 
-def place(
-    name: str, onto: str, target: Place, arrived: Term, clearance: float = 0.02, stays: Term | None = None
-) -> Stage:
+def place(name: str, onto: str, target: Place, arrived: Term, clearance: float = 0.02) -> Stage:
     """Hold an object, carry it from above to a place, and let it go.
 
     Args:
         name: the object.
         onto: what the place belongs to, for the stage's name.
         target: where the mean of its points shall be.
-        arrived: rule that it is there; the stage ends when it is not held any more, and stands.
+        arrived: rule that it is there, from then on; the stage ends when it is not held any more, and stands.
         clearance: height over the place at which it is carried.
-        stays: rule that has to hold from then on; None takes ``arrived``.
     """
     held = objects.held(name)
 
@@ -140,9 +137,7 @@ def place(
         return arrived(points, info) & ~held(points, info) & slow
 
     terms = {**_grasp(name), "carry": (-2.0, objects.carry_onto(name, target, clearance))}
-    return Stage(
-        f"place {name} at {onto}", {**terms, "hold_on": (2.0, _both(arrived, held))}, done, lasting=stays or arrived
-    )
+    return Stage(f"place {name} at {onto}", {**terms, "hold_on": (2.0, _both(arrived, held))}, done, lasting=arrived)
 
 
 def leave(name: str) -> Stage:

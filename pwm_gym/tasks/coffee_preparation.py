@@ -6,7 +6,7 @@ Its planning cost is a sequence of the stages of other tasks, and no term of it 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -81,7 +81,7 @@ register_terms(  # minus the simulator's normalised shaped reward
 register_stages(
     "coffee_preparation_plan",
     [
-        sequences.place("mug", "machine", _stand, _placed, stays=_stands),
+        replace(sequences.place("mug", "machine", _stand, _placed), lasting=_stands),
         sequences.leave("mug"),
         sequences.open_drawer(_DRAWER, LOW_CABINET.opened),
         sequences.take_out("pod", _DRAWER, 0.06, until=_seated),

@@ -1,10 +1,11 @@
 import gymnasium as gym
 import numpy as np
 import pytest
+import torch
 from demonstrating import demonstration, steps_to_success
 from gymnasium.utils.env_checker import check_env
 
-from pwm_gym.costs import get_cost, get_grasp, get_success
+from pwm_gym.costs import get_cost, get_grasp, get_success, lids
 from pwm_gym.seeds import seed_range
 from pwm_gym.tasks import get_task
 
@@ -73,6 +74,17 @@ def test_the_planning_cost_is_a_sequence_of_other_tasks_stages_which_a_demonstra
     assert least == sorted(least, reverse=True)
     blocked = cost.evaluate(points, {**info, "stage": stage})["take pod: hand_blocking"][stage == 3]
     assert blocked[0] > 1.0 and blocked[-1] == 0.0  # the expert turns the hand so that it passes by the cabinet
+
+
+@pytest.mark.parametrize(("off", "put", "stays"), [(0.008, True, True), (0.016, False, True), (0.025, False, False)])
+def test_plans_put_the_mug_down_nearer_than_it_has_to_stay(episode, off, put, stays):
+    _, (points, info), _ = episode
+    last = {name: points[name][-1:] for name in TASK.layout.names}
+    seen = {**info, "action": info["action"][-1:], "velocity": {k: torch.zeros_like(v) for k, v in last.items()}}
+    shift = lids.before(lids.COFFEE_LID, "mug")(last, seen) - last["mug"].mean(-2)
+    last["mug"] = last["mug"] + (shift + torch.tensor([0.0, off, 0.0])).unsqueeze(-2)
+    stage = get_cost(TASK.plan_cost).stages[0]
+    assert (bool(stage.done(last, seen)), bool(stage.lasting(last, seen))) == (put, stays)
 
 
 def test_the_twin_is_an_environment_with_the_papers_point_count():
