@@ -94,14 +94,14 @@ def fit(config: FitConfig, training: TrainConfig, validate: Validate, progress: 
         UnknownNameError: there is no checkpoint of the name ``init``.
     """
     use_device(training.device)
-    sources = load_sources(config.folders, "train")
-    tasks = [get_task(dataset.task) for dataset in sources]
+    whole = load_sources(config.folders, "train")
+    tasks = [get_task(dataset.task) for dataset in whole]
     out = config.out or Path("runs") / "+".join(task.name for task in tasks)
     with writing(out):  # before anything is fitted that could not be kept
         out.mkdir(parents=True, exist_ok=True)
-    every, sources = sources, [_chosen(dataset, config, len(sources)) for dataset in sources]
+    sources = [_chosen(dataset, config, len(whole)) for dataset in whole]
     held_out = load_sources(config.folders, "validation")
-    windows = _windows(config, every, sources)
+    windows = _windows(config, whole, sources)
     partial = config.view == "partial"
     seen = [visible_rows(config.folders, "validation", dataset, dataset) if partial else None for dataset in held_out]
     clock = Clock()
@@ -171,15 +171,15 @@ def _joints(sources: Sequence[Dataset]) -> list[str]:
     return sorted({e.joint.kind for dataset in sources for e in dataset.layout if not e.driven})
 
 
-def _windows(config: FitConfig, every: list[Dataset], sources: list[Dataset]) -> Batches:
-    """Training windows of ``sources``, the chosen episodes of ``every`` task's."""
+def _windows(config: FitConfig, whole: list[Dataset], sources: list[Dataset]) -> Batches:
+    """Training windows of ``sources``, the chosen episodes of ``whole`` splits, one a task."""
     if config.view not in _VIEWS:
         raise unknown_name("view", config.view, _VIEWS)
     if config.view == "complete":
         return mixed([Windows(dataset, config.boost, _ORDERS) for dataset in sources])
     windows = []
-    for whole, chosen in zip(every, sources, strict=True):
-        seen = visible_rows(config.folders, "train", whole, chosen)
+    for split, chosen in zip(whole, sources, strict=True):
+        seen = visible_rows(config.folders, "train", split, chosen)
         windows.append(PartialWindows(chosen, seen, boost=config.boost))
     return mixed(windows)
 
