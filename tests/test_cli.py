@@ -265,6 +265,9 @@ def test_a_model_of_partial_clouds_starts_from_what_a_camera_sees(short_episodes
     assert results["view"] == "partial" and list(results["rows"]) == ["particleformer", "still", "commanded", "linear"]
     assert results["rows"]["particleformer"]["practice"]["chamfer_l1"] > 0.001
     assert "particleformer" in capsys.readouterr().out
+    assert "--completer hull; a model of partial clouds is measured in rollouts alone" in failure(
+        *args.split(), "--completer", "hull"
+    )
 
 
 def test_plan_writes_its_table(tmp_path, capsys):

@@ -154,12 +154,20 @@ class Evaluate:
             write_results(self.json, results)
 
     def _partial(self, models: dict[str, WorldModel], task: Task, dataset: Dataset, data: Path) -> None:
-        """Rollouts alone of a model of partial clouds, the first of ``models``, from what the default camera sees."""
+        """Rollouts alone of a model of partial clouds, the first of ``models``, from what the default camera sees.
+
+        Raises:
+            PwmGymError: something else is asked for.
+        """
         from pwm_gym.data.partial import visible_split
+        from pwm_gym.errors import PwmGymError
         from pwm_gym.evaluation import evaluate_rollouts, write_results
         from pwm_gym.evaluation.rollouts import observed_start
         from pwm_gym.evaluation.text import report_text
 
+        for name in ("completer", "long", "pictures", "strips"):
+            if value := getattr(self, name):
+                raise PwmGymError(f"--{name} {value}; a model of partial clouds is measured in rollouts alone")
         start = observed_start(dataset, visible_split(data, self.split, task, dataset))
         rows = {
             kind: evaluate_rollouts(model, task, dataset, every=self.every, start=None if k else start)

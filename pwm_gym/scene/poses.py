@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-__all__ = ["compose", "relative", "rotation"]
+__all__ = ["compose", "relative", "rotation", "turn_between"]
 
 
 def rotation(pose: np.ndarray) -> Rotation:
@@ -24,3 +24,8 @@ def relative(base: np.ndarray, poses: np.ndarray) -> np.ndarray:
     inverse = rotation(base).inv()
     turned = (inverse * rotation(poses)).as_quat(canonical=True, scalar_first=True)
     return np.concatenate([inverse.apply(poses[:, :3] - base[:3]), turned], -1)
+
+
+def turn_between(base: np.ndarray, part: np.ndarray) -> float:
+    """Angle from 0 to pi, radians, by which a pose (7,) is turned against another (7,)."""
+    return float((rotation(base).inv() * rotation(part)).magnitude())

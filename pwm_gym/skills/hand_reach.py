@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pwm_gym.robots.adroit import Forearm, posture, tool_pose
-from pwm_gym.scene.poses import rotation
+from pwm_gym.scene.poses import turn_between
 
 __all__ = ["HandReach"]
 
@@ -32,8 +32,8 @@ class HandReach:
     @staticmethod
     def bent(poses: np.ndarray) -> float:
         """How far the first finger's middle joint is bent, 0 straight to 1, of entity poses (E, 7)."""
-        upper, lower = (rotation(poses[k]) for k in _FINGER)
-        return float((upper.inv() * lower).magnitude() / (0.5 * np.pi))
+        upper, lower = (poses[k] for k in _FINGER)
+        return turn_between(upper, lower) / (0.5 * np.pi)
 
     def act(
         self,

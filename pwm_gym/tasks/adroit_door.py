@@ -12,7 +12,7 @@ from pwm_gym.costs import Points, doors, register_success, register_terms, terms
 from pwm_gym.costs.adroit import PALM_PLACE, distance, squared_speeds
 from pwm_gym.robots.adroit import DOOR_ARM, DOOR_HAND, layout
 from pwm_gym.scene import FIXED, Joint
-from pwm_gym.scene.poses import compose, rotation
+from pwm_gym.scene.poses import compose, turn_between
 from pwm_gym.sim.mujoco.adroit import OPEN, door_simulator
 from pwm_gym.skills import HandReach
 from pwm_gym.tasks.registry import Task, register_task
@@ -100,18 +100,13 @@ class AdroitDoorExpert:
         """Action (28,) for poses (28, 7) of the hand's links, the frame, the door and its latch."""
         frame, door, latch = poses[_LAYOUT.index("frame") :]
         handle = compose(latch, _HANDLE)[:3]
-        opened, turned = _turn(frame, door), _turn(door, latch)
+        opened, turned = turn_between(frame, door), turn_between(door, latch)
         if turned > _FREE or opened > _AJAR:
             return self.reach.act(poses, handle + 0.5 * self.aside + self.pull, self.bend, self.wrist, self.rolls[1])
         held = np.linalg.norm(self.reach.place(poses) - handle - self.aside) < _HELD
         if held or turned > _TURNED:
             return self.reach.act(poses, handle + self.press, self.bend, self.wrist, self.rolls[0])
         return self.reach.act(poses, handle + self.aside, _STRAIGHT, self.wrist)
-
-
-def _turn(base: np.ndarray, part: np.ndarray) -> float:
-    """Radians by which a part (7,) is turned against what it hangs on."""
-    return float((rotation(base).inv() * rotation(part)).magnitude())
 
 
 ADROIT_DOOR = register_task(

@@ -130,10 +130,8 @@ def test_partial_clouds_of_chosen_episodes(folders, tmp_path):
         return {"chamfer": 1.0}
 
     chosen = config(tmp_path / "run", *folders.values(), view="partial", episodes=6)
-    assert (
-        load_checkpoint(fit(chosen, QUICK, validate, progress=False)).description["training"]["data"]["view"]
-        == "partial"
-    )
+    trained = load_checkpoint(fit(chosen, QUICK, validate, progress=False))
+    assert trained.description["training"]["data"]["view"] == "partial"
     assert validated and all(validated)
     whole = load_sources(chosen.folders, "train")[0]
     rows = visible_rows(chosen.folders, "train", whole, whole.some(2))

@@ -53,17 +53,8 @@ class _Nearest:
 
     gap: Tensor
     """Signed distances (B, F, P), metres."""
-    index: Tensor
-    """The points' places (B, F, P)."""
-    way: Tensor
-    """Ways out (B, F, P, 3) of the box, in its axes."""
-
-    @classmethod
-    def of(cls, gap: Tensor, points: Coordinates, half: Coordinates) -> _Nearest:
-        """Of all points' distances (B, F, P, n), the points in the box's axes, and half its sides."""
-        smallest, index = gap.min(-1)
-        x, y, z = (place.gather(-1, index.unsqueeze(-1)) for place in points)
-        return cls(smallest, index, torch.cat(box_gap_and_way((x, y, z), half)[1], -1))
+    way: Coordinates
+    """Ways out of the box in its axes, each (B, F, P, 1)."""
 
 
 class MoverContacts(nn.Module):
@@ -116,14 +107,16 @@ class MoverContacts(nn.Module):
         count = plan.partners
         product = rows @ points[:, plan.movers]  # (B, F, R, n): all that is linear in the movers' points
         boxed, height, place, boxed_next, *others_rows = product.split([*sizes, *sizes, 3, len(self._hands)], 2)
-        there, back = _axes(boxed_next), self._theirs(plan, local, points, centre)
+        back = self._theirs(plan, local, points, centre)
         sides = coordinates(plan.with_walls(half[:, :count], plan.wall_half, 1)[:, None, ..., None], 3)
         gap = box_gap(_axes(boxed), sides) + plan.apart
-        gap_next, out = box_gap_and_way(there, sides)
+        gap_next, out = box_gap_and_way(_axes(boxed_next), sides)
         gap_next = gap_next + plan.apart
         ahead, own = both[:, 1], coordinates(half[:, plan.movers, None, :, None], 3)
-        here = _Nearest.of(gap_next[:, :, :count], _first(there, count), _first(sides, count))
-        theirs = _Nearest.of(box_gap(back, own) + plan.apart[:, :count], back, own)
+        least, index = gap_next[:, :, :count].min(-1)
+        least_back, index_back = (box_gap(back, own) + plan.apart[:, :count]).min(-1)
+        here = _Nearest(least, _at(out, index))
+        theirs = _Nearest(least_back, box_gap_and_way(_at(back, index_back), own)[1])
         nearest, push = self._pushes(ahead[:, None, :count, :3, :3], ahead[:, plan.movers, None, :3, :3], here, theirs)
         lowest = gap.amin(-1)
         pairs = self._pairs(
@@ -139,7 +132,7 @@ class MoverContacts(nn.Module):
             push=push,
             gaps=(lowest[:, :, :count], nearest),
             unsupported=((clear - _HANGING) / _HANGS).clamp(0.0, 1.0).unsqueeze(-1),
-            touching=self._touching(plan, ahead, points, here.index) if plan.articulated else None,
+            touching=self._touching(plan, ahead, points, index) if plan.articulated else None,
         )
 
     @staticmethod
@@ -265,8 +258,8 @@ class MoverContacts(nn.Module):
             here: of the movers' points in the partners' boxes.
             theirs: of the partners' points in the movers' boxes.
         """
-        way = (partners @ here.way.unsqueeze(-1)).squeeze(-1)
-        way_back = -(movers @ theirs.way.unsqueeze(-1)).squeeze(-1)
+        way = torch.cat(turned(partners, here.way), -1)
+        way_back = -torch.cat(turned(movers, theirs.way), -1)
         chosen = torch.where((theirs.gap < here.gap).unsqueeze(-1), way_back, way)
         nearest = torch.minimum(here.gap, theirs.gap)
         return nearest, chosen * (nearest < 0.0).unsqueeze(-1)
@@ -319,7 +312,7 @@ def _axes(rows: Tensor) -> Coordinates:
     return coordinates(rows.unflatten(2, (3, -1)), 2)
 
 
-def _first(parts: Coordinates, count: int) -> Coordinates:
-    """The first ``count`` boxes' of coordinates (B, F, G, n)."""
-    x, y, z = (part[:, :, :count] for part in parts)
+def _at(vectors: Coordinates, index: Tensor) -> Coordinates:
+    """Coordinates (B, F, P, 1) of the vectors at places ``index`` (B, F, P) of (B, F, G, n), of the first P of G."""
+    x, y, z = (part.gather(-1, index.unsqueeze(-1)) for part in vectors)
     return x, y, z
