@@ -75,7 +75,10 @@ def transform(pose: Tensor, points: Tensor) -> Tensor:
     In memory the result runs along its points, which is faster to form and to reduce (``docs/performance.md``): it is
     not contiguous.
     """
-    return (pose[..., :3, :3] @ points.transpose(-1, -2) + pose[..., :3, 3:]).transpose(-1, -2)
+    rotation, shift, columns = pose[..., :3, :3], pose[..., :3, 3:], points.transpose(-1, -2)
+    if pose.ndim == points.ndim == 3 and len(pose) == len(points):  # without a second result in memory
+        return torch.baddbmm(shift, rotation, columns).transpose(-1, -2)
+    return (rotation @ columns + shift).transpose(-1, -2)
 
 
 def rotation_from_vector(vector: Tensor) -> Tensor:

@@ -123,11 +123,16 @@ class RigidState:
         return self._placed(now), self._placed(now - before), self._placed(before - earlier)
 
     def _placed(self, poses: Tensor) -> Tensor:
-        """Clouds (..., N, 3) moved by poses (..., E, 4, 4), or by differences of them."""
-        placed = torch.empty((*poses.shape[:-3], *self.clouds.shape[-2:]), dtype=poses.dtype, device=poses.device)
+        """Clouds (..., N, 3) moved by poses (..., E, 4, 4), or by differences of them, which are 0 where nothing moves."""
+        flat, clouds = poses.reshape(-1, *poses.shape[-3:]), self.clouds.reshape(-1, *self.clouds.shape[-2:])
+        moves = (flat != 0).flatten(-2).any(-1)  # (B, E)
+        counts = moves.sum(0).tolist()
+        placed = torch.zeros(clouds.shape, dtype=poses.dtype, device=poses.device)
         for i, entity in enumerate(self.layout):
-            placed[..., entity.slice, :] = transform(poses[..., i, :, :], self.clouds[..., entity.slice, :])
-        return placed
+            rows = slice(None) if counts[i] == len(flat) else moves[:, i].nonzero().squeeze(-1)
+            if counts[i]:
+                placed[rows, entity.slice] = transform(flat[rows, i], clouds[rows, entity.slice])
+        return placed.unflatten(0, poses.shape[:-3]) if poses.ndim > 3 else placed[0]
 
     def entity(self, name: str, step: int = 0) -> Tensor:
         """World-frame points (..., n, 3) of one entity, ``step`` (0, 1 or 2) steps ago."""
