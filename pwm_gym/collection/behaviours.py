@@ -8,12 +8,13 @@ from typing import Protocol
 import numpy as np
 
 from pwm_gym.collection.practice import Practice, uniform
+from pwm_gym.collection.starts import mirror
 from pwm_gym.planning import Agent
 from pwm_gym.scene import Scene, sample_clouds
 from pwm_gym.sim import Simulator
 from pwm_gym.tasks import Task
 
-__all__ = ["Behaviour", "Demonstration", "OnPolicy", "Practice"]
+__all__ = ["Behaviour", "Demonstration", "Mirrored", "OnPolicy", "Practice"]
 
 _LASTING = 0.9  # correlation of jitter from one step to the next
 
@@ -32,6 +33,32 @@ class Behaviour(Protocol):
 
     def done(self, success: bool) -> bool:
         """Whether the episode ends here."""
+
+
+class Mirrored:
+    """Another behaviour in the mirrored scene (:func:`~pwm_gym.collection.starts.mirror`).
+
+    Args:
+        task: the task.
+        behaviour: who acts.
+    """
+
+    def __init__(self, task: Task, behaviour: Behaviour) -> None:
+        self._task, self._behaviour = task, behaviour
+        self.kind, self.switch = behaviour.kind, behaviour.switch
+
+    def start(self, simulator: Simulator) -> None:
+        """Mirror the scene, and start in it."""
+        mirror(simulator, self._task)
+        self._behaviour.start(simulator)
+
+    def act(self, simulator: Simulator) -> np.ndarray:
+        """Next action (A,)."""
+        return self._behaviour.act(simulator)
+
+    def done(self, success: bool) -> bool:
+        """Whether the behaviour's episode ends here."""
+        return self._behaviour.done(success)
 
 
 class Demonstration:

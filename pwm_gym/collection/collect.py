@@ -81,7 +81,7 @@ def _check_complete(folder: Path, shards: list[Shard]) -> None:
 def _write_header(config: CollectConfig, task: Task) -> None:
     settings = {k: v for k, v in asdict(config).items() if k not in ("out", "workers", "episodes", "held_out")}
     settings["warp"] = config.warp > 0  # however many worlds
-    for name in ("objects", "jitter", "warp"):  # data sets of an earlier version do not tell them
+    for name in ("objects", "jitter", "mirrored", "warp"):  # data sets of an earlier version do not tell them
         if not settings[name]:
             del settings[name]
     header = {

@@ -44,6 +44,9 @@ class CollectConfig:
     jitter: float = 0.0
     """Largest standard deviation of the noise that is added to what an expert asks of arms, in action units, so that
     data hold small mistakes and how they are put right."""
+    mirrored: float = 0.0
+    """Share of demonstrations and of practice in scenes that are mirrored between the robot's left and right: for tasks
+    whose furniture always stands on one side. Their goals stay."""
     workers: int = 2
     """Processes."""
     shard: int = 20
@@ -58,7 +61,7 @@ class CollectConfig:
         for name, least in least_of.items():
             if getattr(self, name) < least:
                 raise DatasetError(f"{name}={getattr(self, name)}; expected at least {least}")
-        for name in ("practice", "on_policy", "randomise", "jitter"):
+        for name in ("practice", "on_policy", "randomise", "jitter", "mirrored"):
             if not 0.0 <= getattr(self, name) <= 1.0:
                 raise DatasetError(f"{name}={getattr(self, name)}; expected a share from 0 to 1")
         if self.practice + self.on_policy > 1.0:
@@ -67,6 +70,8 @@ class CollectConfig:
             raise DatasetError(
                 f"warp={self.warp} and on_policy={self.on_policy}; expected one of them: plans share a planner"
             )
+        if self.warp and self.mirrored:
+            raise DatasetError(f"warp={self.warp} and mirrored={self.mirrored}; expected one of them")
 
     @property
     def folder(self) -> Path:

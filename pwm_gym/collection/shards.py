@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pwm_gym.collection.behaviours import Behaviour, Demonstration, OnPolicy, Practice
+from pwm_gym.collection.behaviours import Behaviour, Demonstration, Mirrored, OnPolicy, Practice
 from pwm_gym.collection.config import CollectConfig
 from pwm_gym.collection.practice import PRACTICE_STEPS
 from pwm_gym.data.dataset import asset_path, save_asset
@@ -27,6 +27,7 @@ SHARD_KINDS = ("demonstration", "practice", "on_policy")
 
 _PATIENCE = 1.8  # of an expert's usual length, after which a demonstration that has not succeeded ends
 _PLANNED_STEPS = 60
+_MIRROR = 1  # of the generator that draws which scenes are mirrored
 
 
 @dataclass(frozen=True)
@@ -53,18 +54,22 @@ class Shard:
 
     def behaviours(self, task: Task) -> Callable[[int], Behaviour]:
         """Who acts in the episode of a seed."""
+        if self.kind == "on_policy":
+            agent = Agent(load_checkpoint(resolve(self.config.checkpoint, task.name)).model, task.name)
+            return lambda seed: OnPolicy(task, agent, seed)
+        return lambda seed: self._unplanned(task, seed)
 
-        def rng(seed: int) -> np.random.Generator:
-            return np.random.default_rng([seed, SHARD_KINDS.index(self.kind)])
-
+    def _unplanned(self, task: Task, seed: int) -> Behaviour:
+        """Practice or a demonstration, in the mirrored scene or in the task's own."""
+        config, kind = self.config, SHARD_KINDS.index(self.kind)
+        rng = np.random.default_rng([seed, kind])
+        behaviour: Behaviour
         if self.kind == "practice":
-            return lambda seed: Practice(task, rng(seed))
-        if self.kind == "demonstration":
-            share, jitter = self.config.randomise, self.config.jitter
-            return lambda seed: Demonstration(task, rng(seed), randomise=share, jitter=jitter)
-        checkpoint = load_checkpoint(resolve(self.config.checkpoint, task.name))
-        agent = Agent(checkpoint.model, task.name)
-        return lambda seed: OnPolicy(task, agent, seed)
+            behaviour = Practice(task, rng)
+        else:
+            behaviour = Demonstration(task, rng, randomise=config.randomise, jitter=config.jitter)
+        aside = np.random.default_rng([seed, kind, _MIRROR]).random() < config.mirrored
+        return Mirrored(task, behaviour) if aside else behaviour
 
     def write(self, task: Task, episodes: Sequence[Episode]) -> None:
         """Write the file."""

@@ -1,4 +1,4 @@
-"""Scenes that no episode of a task starts from: objects in mid-air, stacked, leaning, lying against each other.
+"""Scenes that no episode of a task starts from: mirrored; objects in mid-air, stacked, leaning, against each other.
 
 An object that starts at rest in mid-air falls freely until it touches something: its motion labels itself.
 """
@@ -11,14 +11,43 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pwm_gym.collection.extents import Extents
-from pwm_gym.scene import Layout
+from pwm_gym.errors import SceneError
+from pwm_gym.scene import Layout, Scene
+from pwm_gym.scene.poses import mirrored
 from pwm_gym.sim import PlacesBodies, Simulator
+from pwm_gym.tasks import Task
 
-__all__ = ["perturb"]
+__all__ = ["mirror", "perturb"]
 
 _GAP = 5e-4  # metres left between what is put in contact, so that nothing starts inside anything
 _BESIDE_HAND = 0.15  # metres from the tool at which the hand and its fingers are out of the way
 _WIDEST = 0.07  # metres: what fits between open fingers
+_APART = 1e-3  # metres (and of unit quaternions) that a mirrored scene may differ from what was asked for
+
+
+def mirror(simulator: Simulator, task: Task) -> None:
+    """Put all that the robot does not drive where a mirror between its left and its right shows it; the goal stays.
+
+    A cabinet that all episodes have on one side teaches a model how the arm pulls there alone.
+
+    Raises:
+        SceneError: the simulator cannot start so, such as where a door's hinge would be on its other side.
+    """
+    poses = simulator.poses()
+    still = [i for i, e in enumerate(task.layout) if not e.driven]
+    poses[still] = mirrored(poses[still])
+    clouds = np.zeros((task.layout.points, 3), np.float32)  # simulators have their own
+    history = np.repeat(poses[None], 3, 0)
+    scene = Scene(
+        task.name, task.layout, clouds, history, simulator.goal(), simulator.joints(), assets=simulator.assets()
+    )
+    simulator.restore(scene, rebuild=False)
+    for i in still:
+        given = simulator.poses()[i]
+        apart = min(np.abs(given - poses[i]).max(), np.abs(given * ([1.0] * 3 + [-1.0] * 4) - poses[i]).max())
+        if apart > _APART:
+            name = task.layout.names[i]
+            raise SceneError(f"{task.name} cannot be mirrored: {name!r} would be at {poses[i]}, and is at {given}")
 
 
 def perturb(

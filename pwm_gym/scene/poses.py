@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-__all__ = ["compose", "relative", "rotation", "turn_between"]
+__all__ = ["compose", "mirrored", "relative", "rotation", "turn_between"]
 
 
 def rotation(pose: np.ndarray) -> Rotation:
@@ -24,6 +24,11 @@ def relative(base: np.ndarray, poses: np.ndarray) -> np.ndarray:
     inverse = rotation(base).inv()
     turned = (inverse * rotation(poses)).as_quat(canonical=True, scalar_first=True)
     return np.concatenate([inverse.apply(poses[:, :3] - base[:3]), turned], -1)
+
+
+def mirrored(poses: np.ndarray) -> np.ndarray:
+    """Poses (..., 7) seen in a mirror along the x and z axes, of bodies that are their own mirror image."""
+    return poses * np.array([1.0, -1.0, 1.0, 1.0, -1.0, 1.0, -1.0])
 
 
 def turn_between(base: np.ndarray, part: np.ndarray) -> float:

@@ -123,7 +123,7 @@ class RigidState:
         return self._placed(now), self._placed(now - before), self._placed(before - earlier)
 
     def _placed(self, poses: Tensor) -> Tensor:
-        """Clouds (..., N, 3) moved by poses (..., E, 4, 4), or by differences of them, which are 0 where nothing moves."""
+        """Clouds (..., N, 3) moved by poses (..., E, 4, 4), or by differences of them: 0 where nothing moves."""
         flat, clouds = poses.reshape(-1, *poses.shape[-3:]), self.clouds.reshape(-1, *self.clouds.shape[-2:])
         moves = (flat != 0).flatten(-2).any(-1)  # (B, E)
         counts = moves.sum(0).tolist()

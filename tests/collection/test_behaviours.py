@@ -4,12 +4,15 @@ import numpy as np
 import pytest
 import trimesh
 
-from pwm_gym.collection.behaviours import Demonstration, Practice
+from pwm_gym.collection import CollectConfig
+from pwm_gym.collection.behaviours import Demonstration, Mirrored, Practice
 from pwm_gym.collection.extents import Extents
-from pwm_gym.collection.starts import perturb
+from pwm_gym.collection.shards import Shard
+from pwm_gym.collection.starts import mirror, perturb
+from pwm_gym.errors import SceneError
 from pwm_gym.tasks import get_task
 
-TASK, STACK = get_task("PickCube"), get_task("StackCube")
+TASK, STACK, MUG = get_task("PickCube"), get_task("StackCube"), get_task("MugCleanup")
 
 
 class Still:
@@ -244,3 +247,54 @@ def test_practice_of_a_long_task_starts_anywhere_along_the_experts_way(length, b
         counts.append(Counting.steps)
     share = np.mean(np.array(counts) > 0)
     assert (0.7 < share < 0.97 and max(counts) > 200 and max(counts) < length) if begun else share == 0
+
+
+def test_a_mirrored_scene_has_its_furniture_on_the_other_side(mug_simulator):
+    mug_simulator.reset(5)
+    before, joints = mug_simulator.poses(), mug_simulator.joints()
+    mirror(mug_simulator, MUG)
+    after = mug_simulator.poses()
+    np.testing.assert_allclose(after[:3], before[:3], atol=1e-4)
+    np.testing.assert_allclose(mug_simulator.joints(), joints, atol=1e-6)
+    np.testing.assert_allclose(after[3:, :3], before[3:, :3] * [1, -1, 1], atol=1e-4)
+    assert before[3, 1] > 0.1  # the cabinet
+    behaviour = Demonstration(MUG, np.random.default_rng(5), randomise=0.0)
+    for _ in range(150):
+        mug_simulator.step(behaviour.act(mug_simulator))
+    drawn = mug_simulator.poses()[4] - after[4]
+    assert np.linalg.norm(drawn[:3]) > 0.1  # the expert opened the drawer
+
+
+def test_a_mirrored_behaviour_is_the_same_one_in_the_mirrored_scene(mug_simulator):
+    def act(mirrored):
+        mug_simulator.reset(5)
+        behaviour = Demonstration(MUG, np.random.default_rng(5), randomise=0.0)
+        behaviour = Mirrored(MUG, behaviour) if mirrored else behaviour
+        behaviour.start(mug_simulator)
+        return behaviour.kind, behaviour.switch, mug_simulator.poses()[3, 1], behaviour.act(mug_simulator)
+
+    (kind, switch, left, towards), (other_kind, other_switch, right, away) = act(False), act(True)
+    assert (kind, switch) == (other_kind, other_switch) == ("expert", -1)
+    assert right == pytest.approx(-left, abs=1e-4) and towards[1] > 0 > away[1]
+
+
+def test_a_scene_that_cannot_be_mirrored_is_refused():
+    class Fixed(Still):
+        def joints(self):
+            return np.zeros((2, 9), np.float32)
+
+        def restore(self, scene, rebuild=True): ...
+
+    with pytest.raises(SceneError, match="PickCube cannot be mirrored: 'cube' would be at .*, and is at"):
+        mirror(Fixed(), TASK)
+
+
+@pytest.mark.parametrize("kind", ["demonstration", "practice"])
+def test_a_share_of_the_episodes_is_mirrored(kind, tmp_path):
+    def count(share):
+        config = CollectConfig(task="MugCleanup", mirrored=share, out=tmp_path)
+        make = Shard(tmp_path / "x.npz", range(400), kind, config).behaviours(MUG)
+        return sum(isinstance(make(seed), Mirrored) for seed in range(400))
+
+    assert count(0.0) == 0 and count(1.0) == 400
+    assert 70 < count(0.25) < 130

@@ -208,7 +208,9 @@ def test_a_truncated_header_is_named(copied):
         ({"practice": 1.5}, "practice=1.5; expected a share from 0 to 1"),
         ({"on_policy": -0.1}, "on_policy=-0.1; expected a share"),
         ({"randomise": float("nan")}, "randomise=nan; expected a share"),
+        ({"mirrored": 1.5}, "mirrored=1.5; expected a share from 0 to 1"),
         ({"practice": 0.7, "on_policy": 0.7}, "expected at most 1 together"),
+        ({"mirrored": 0.5, "warp": 8}, "warp=8 and mirrored=0.5; expected one of them"),
     ],
 )
 def test_what_cannot_be_collected_is_refused(change, message):

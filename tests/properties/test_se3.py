@@ -7,6 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from pwm_gym.scene.poses import mirrored
 from pwm_gym.scene.se3 import (
     inverse,
     make_pose,
@@ -124,3 +125,11 @@ def test_a_batch_is_its_elements(every, points):
     close(inverse(together), torch.stack([inverse(p) for p in every]), 1e-12)
     close(transform(together, points), torch.stack([transform(p, points) for p in every]), 1e-12)
     close(pose7_from_matrix(together), torch.stack([pose7_from_matrix(p) for p in every]), 1e-12)
+
+
+@given(poses())
+def test_a_mirrored_pose_shows_its_mirrored_points_in_the_mirror(pose):
+    mirror = torch.diag(torch.tensor([1.0, -1.0, 1.0, 1.0], dtype=torch.float64))
+    pose7 = pose7_from_matrix(pose).numpy()
+    close(matrix_from_pose7(torch.as_tensor(mirrored(pose7))), mirror @ pose @ mirror, atol=1e-6)
+    close(torch.as_tensor(mirrored(mirrored(pose7))), torch.as_tensor(pose7))

@@ -111,6 +111,21 @@ def test_entity_points_form_a_mapping_of_positions_or_velocities(state):
         points["lid"]
 
 
+def test_what_stands_still_in_some_scenes_has_a_velocity_in_the_others(state):
+    frames = state.frames.clone()
+    frames[0, 1, 2] = frames[0, 0, 2]  # the cube of the first scene has just come to rest
+    frames[:, :, 1] = frames[:, :1, 1]  # the finger rests in both
+    resting = RigidState(LAYOUT, state.clouds, frames)
+    points, velocity, previous = resting.motion()
+    torch.testing.assert_close(points, resting.points())
+    torch.testing.assert_close(velocity, resting.velocity(), atol=1e-6, rtol=0)
+    torch.testing.assert_close(previous, resting.previous_velocity(), atol=1e-6, rtol=0)
+    assert (velocity[:, 40:64] == 0).all() and (velocity[0, 64:] == 0).all() and (velocity[1, 64:] != 0).any()
+    one = resting[1].motion()
+    for all_scenes, alone in zip((points, velocity, previous), one, strict=True):
+        torch.testing.assert_close(all_scenes[1], alone, atol=1e-6, rtol=0)
+
+
 def test_pose_features_hold_place_orientation_and_motion(state):
     goal = torch.tensor([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])
     features = pose_features(state, goal)
