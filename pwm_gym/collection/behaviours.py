@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 
 from pwm_gym.collection.practice import Practice, uniform
-from pwm_gym.collection.starts import mirror
+from pwm_gym.collection.starts import LONG, mirror, run_ahead
 from pwm_gym.planning import Agent
 from pwm_gym.scene import Scene, sample_clouds
 from pwm_gym.sim import Simulator
@@ -17,6 +17,7 @@ from pwm_gym.tasks import Task
 __all__ = ["Behaviour", "Demonstration", "Mirrored", "OnPolicy", "Practice"]
 
 _LASTING = 0.9  # correlation of jitter from one step to the next
+_WHERE = 2  # of the generator that draws where a planned episode starts
 
 
 class Behaviour(Protocol):
@@ -122,23 +123,28 @@ class OnPolicy:
     Args:
         task: the task.
         agent: plans.
-        seed: of the planner's noise.
+        seed: of the planner's noise, and of where it starts.
         linger: steps that it goes on after success.
+        underway: of long tasks, probability that it starts where the expert is after a number of steps.
     """
 
     kind = "on_policy"
     switch = -1
 
-    def __init__(self, task: Task, agent: Agent, seed: int, linger: int = 5) -> None:
+    def __init__(self, task: Task, agent: Agent, seed: int, linger: int = 5, underway: float = 0.85) -> None:
         self._task, self._agent, self._linger = task, agent, linger
+        self._rng = np.random.default_rng([seed, _WHERE])
+        self._underway = underway if task.expert_steps >= LONG else 0.0
         self._clouds: np.ndarray | None = None
         self._seen: deque[np.ndarray] = deque(maxlen=3)  # poses, newest first
         self._last: np.ndarray | None = None
         agent.reset(seed)
 
     def start(self, simulator: Simulator) -> None:
-        """Sample the clouds of the episode's objects; planned episodes start where the task says."""
+        """Sample the clouds of the episode's objects, and go to where it starts."""
         self._clouds = sample_clouds(simulator.meshes(), self._task.layout, self._task.cloud_seed)
+        if self._rng.random() < self._underway:
+            self._last = run_ahead(simulator, self._task, self._rng)
 
     def act(self, simulator: Simulator) -> np.ndarray:
         """Next action (A,)."""

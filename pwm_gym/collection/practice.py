@@ -9,7 +9,7 @@ from itertools import islice
 import numpy as np
 
 from pwm_gym.collection.extents import Extents
-from pwm_gym.collection.starts import perturb
+from pwm_gym.collection.starts import LONG, perturb, run_ahead
 from pwm_gym.sim import Simulator
 from pwm_gym.skills import drive
 from pwm_gym.tasks import Expert, Task
@@ -20,7 +20,6 @@ _TIP = 0.012  # metres over the ground below which the tool does not go: the fin
 _SAFE = 0.10  # metres over an object's top at which the tool moves about without touching it
 _NEAR = 0.008  # metres from a target at which it is reached
 _SHUT, _OPEN = -1.0, 1.0
-_LONG = 1.5  # times as many steps as practice has make a task a long one
 PRACTICE_STEPS = 80
 """Length of an episode."""
 
@@ -55,7 +54,7 @@ class Practice:
     def __init__(self, task: Task, rng: np.random.Generator, unusual: float = 0.15, underway: float = 0.85) -> None:
         self._task, self._rng = task, rng
         self._unusual = unusual
-        self._underway = underway if task.expert_steps >= _LONG * PRACTICE_STEPS else 0.0
+        self._underway = underway if task.expert_steps >= LONG else 0.0
         self._control = task.control
         self._segment: Actions = iter(())
         self._last = np.array(self._control.rest(), np.float32)
@@ -84,11 +83,8 @@ class Practice:
     def start(self, simulator: Simulator) -> None:
         """Change the scene of a fresh episode, sometimes."""
         if self._underway and self._rng.random() < self._underway:
-            self._simulator = simulator
-            ahead = int(self._rng.integers(self._task.expert_steps))
-            for action in islice(self._follow_expert(pace=1.0), ahead):
-                self._last = action
-                simulator.step(action)
+            last = run_ahead(simulator, self._task, self._rng)
+            self._last = self._last if last is None else last
         elif self._rng.random() < self._unusual:
             perturb(simulator, self._task.layout, self._rng, Extents(simulator), self._task.robot.tool)
 
@@ -155,10 +151,10 @@ class Practice:
         """The expert for up to 35 steps, which often holds an object by then."""
         return islice(self._follow_expert(), int(self._rng.integers(3, 36)))
 
-    def _follow_expert(self, pace: float | None = None) -> Actions:
-        """The expert, ``pace`` times as fast; None draws up to three times."""
+    def _follow_expert(self) -> Actions:
+        """The expert, up to three times as fast."""
         expert: Expert = self._task.expert(self._rng)
-        pace = self._rng.uniform(1.0, 3.0) if pace is None else pace
+        pace = self._rng.uniform(1.0, 3.0)
         while True:
             simulator = self._simulator
             action = np.array(expert.act(simulator.poses(), simulator.goal(), simulator.assets()), np.float32)

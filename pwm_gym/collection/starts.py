@@ -1,4 +1,4 @@
-"""Scenes that no episode of a task starts from: mirrored; objects in mid-air, stacked, leaning, against each other.
+"""Scenes that no episode of a task starts from: underway, mirrored; objects in mid-air, stacked, leaning, touching.
 
 An object that starts at rest in mid-air falls freely until it touches something: its motion labels itself.
 """
@@ -17,12 +17,31 @@ from pwm_gym.scene.poses import mirrored
 from pwm_gym.sim import PlacesBodies, Simulator
 from pwm_gym.tasks import Task
 
-__all__ = ["mirror", "perturb"]
+__all__ = ["LONG", "mirror", "perturb", "run_ahead"]
+
+LONG = 120  # steps of an expert that make a task a long one
 
 _GAP = 5e-4  # metres left between what is put in contact, so that nothing starts inside anything
 _BESIDE_HAND = 0.15  # metres from the tool at which the hand and its fingers are out of the way
 _WIDEST = 0.07  # metres: what fits between open fingers
 _APART = 1e-3  # metres (and of unit quaternions) that a mirrored scene may differ from what was asked for
+
+
+def run_ahead(simulator: Simulator, task: Task, rng: np.random.Generator) -> np.ndarray | None:
+    """Let the expert act for a number of steps, drawn up to a demonstration's mean length.
+
+    Returns:
+        Its last action (A,), float32; None where no step was drawn.
+    """
+    ahead = int(rng.integers(task.expert_steps))
+    if ahead == 0:
+        return None
+    expert = task.expert(rng)
+    for _ in range(ahead):
+        action = expert.act(simulator.poses(), simulator.goal(), simulator.assets())
+        last = np.clip(np.asarray(action, np.float32), -1.0, 1.0)
+        simulator.step(last)
+    return last
 
 
 def mirror(simulator: Simulator, task: Task) -> None:

@@ -5,7 +5,7 @@ import pytest
 import trimesh
 
 from pwm_gym.collection import CollectConfig
-from pwm_gym.collection.behaviours import Demonstration, Mirrored, Practice
+from pwm_gym.collection.behaviours import Demonstration, Mirrored, OnPolicy, Practice
 from pwm_gym.collection.extents import Extents
 from pwm_gym.collection.shards import Shard
 from pwm_gym.collection.starts import mirror, perturb
@@ -298,3 +298,33 @@ def test_a_share_of_the_episodes_is_mirrored(kind, tmp_path):
 
     assert count(0.0) == 0 and count(1.0) == 400
     assert 70 < count(0.25) < 130
+
+
+@pytest.mark.parametrize(("length", "begun"), [(240, True), (99, False)])
+def test_planned_episodes_of_a_long_task_start_anywhere_along_the_experts_way(length, begun):
+    class Counting(Still):
+        steps = 0
+
+        def step(self, action):
+            Counting.steps += 1
+
+        def joints(self):
+            return np.zeros((2, 9), np.float32)
+
+    class Planner:
+        def reset(self, seed): ...
+
+        def act(self, scene):
+            known = scene.last_action is not None
+            assert known == (Counting.steps > 0)
+            return np.zeros(7)
+
+    task, counts = replace(TASK, expert_steps=length), []
+    for seed in range(40):
+        Counting.steps, still = 0, Counting()
+        planned = OnPolicy(task, Planner(), seed)
+        planned.start(still)
+        planned.act(still)
+        counts.append(Counting.steps)
+    share = np.mean(np.array(counts) > 0)
+    assert (0.7 < share < 0.97 and max(counts) > 200 and max(counts) < length) if begun else share == 0
