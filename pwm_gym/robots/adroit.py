@@ -1,7 +1,7 @@
 """The Adroit hand of Gymnasium-Robotics: 24 joints behind a forearm that its task lets slide and turn.
 
-All actions are joint targets. The forearm's own joints are no links, so that it is a hand that is told where to be; the
-fingers' links hang on it by the joints of the model. The public frame is MuJoCo's world, the table's top at height 0.
+All actions are joint targets. The forearm's own joints are a gantry's; the fingers' links hang on it by the joints of
+the model. The public frame is MuJoCo's world, the table's top at height 0.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pwm_gym.robots.control import Channel, Control
+from pwm_gym.robots.control import Arm, Channel, Control, Gantry
 from pwm_gym.robots.robot import Robot
 from pwm_gym.scene import Layout, Support
 from pwm_gym.scene.joint import Joint, Pose7
@@ -155,13 +155,18 @@ def tool_pose(poses: np.ndarray) -> np.ndarray:
 
 def _robot(name: str, arm: Forearm) -> Robot:
     """The hand on a forearm."""
-    moved = len(arm.names) + 2  # the wrist's two joints move the whole hand, too
-    size = len(arm.names) + len(_ACTUATED)
-    channels = (Channel("joint", 0, moved, rest=None), Channel("finger", moved, size, rest=None))
+    own, size = len(arm.names), len(arm.names) + len(_ACTUATED)
+    moved = own + 2  # the wrist's two joints move the whole hand, too
+    channels = (
+        Channel("joint", 0, own, rest=None, arm="arm"),
+        Channel("joint", own, moved, rest=None),
+        Channel("finger", moved, size, rest=None),
+    )
+    gantry = Gantry(_START, arm.slides, arm.lower, arm.upper)
     return Robot(
         name=name,
         links=_LINKS,
-        control=Control(channels, period=_PERIOD),
+        control=Control(channels, (Arm("arm", "forearm", gantry=gantry),), _PERIOD),
         joints=_JOINTS,
         tool=tool_pose,
         action_names=(*arm.names, *_ACTUATED),

@@ -11,7 +11,7 @@ from pwm_gym.errors import CheckpointError, PwmGymError, unknown_name
 from pwm_gym.scene.joint import Pose7
 from pwm_gym.schema import convert
 
-__all__ = ["Arm", "Channel", "ChannelKind", "Control", "SerialArm"]
+__all__ = ["Arm", "Channel", "ChannelKind", "Control", "Gantry", "SerialArm"]
 
 ChannelKind = Literal["translation", "rotation", "yaw", "gripper", "finger", "joint"]
 _VECTORS = ("translation", "rotation")
@@ -56,6 +56,39 @@ class SerialArm:
 
 
 @dataclass(frozen=True)
+class Gantry:
+    """Slides along axes of a fixed frame, then turns about its x, y and z axes, in this order, the hand at the end.
+
+    Its controller drives each joint to a target of its own.
+
+    Raises:
+        PwmGymError: an axis that is none, twice the same, or limits of another number of joints.
+    """
+
+    origin: Pose7
+    """Pose (7,) of the hand with all joints at 0, in the frame of all public poses; joints are about its axes."""
+    slides: tuple[int, ...]
+    """Axes (0 to 2) of the slides, in order."""
+    lower: tuple[float, ...]
+    """Joint limits, metres and radians; springs, so that targets near them are overshot."""
+    upper: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        """Check axes and limits."""
+        if not {*self.slides} <= {0, 1, 2} or len({*self.slides}) < len(self.slides):
+            raise PwmGymError(f"slides={self.slides}; expected different axes from 0 to 2")
+        if len(self.lower) != self.joints or len(self.upper) != self.joints:
+            raise PwmGymError(
+                f"a gantry of {self.joints} joints has {len(self.lower)} lower and {len(self.upper)} upper limits"
+            )
+
+    @property
+    def joints(self) -> int:
+        """How many joints it has."""
+        return len(self.slides) + 3
+
+
+@dataclass(frozen=True)
 class Channel:
     """Components ``start:stop`` of an action that mean one thing."""
 
@@ -89,11 +122,19 @@ class Arm:
     """Its joints, where they are known; otherwise the hand's response is fitted."""
     first_joint: int = 0
     """Where its joints begin in the robot's joint vector."""
+    gantry: Gantry | None = None
+    """The same of an arm that is a gantry."""
+
+    def __post_init__(self) -> None:
+        """Check that its joints are told once."""
+        if self.chain is not None and self.gantry is not None:
+            raise PwmGymError(f"arm {self.name!r} has a chain and a gantry; expected one of them")
 
     @property
     def joints(self) -> slice:
         """Its joints' place in the robot's joint vector."""
-        return slice(self.first_joint, self.first_joint + (self.chain.joints if self.chain else 0))
+        known = self.chain or self.gantry
+        return slice(self.first_joint, self.first_joint + (known.joints if known else 0))
 
 
 @dataclass(frozen=True)

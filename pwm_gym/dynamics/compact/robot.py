@@ -7,12 +7,14 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-from pwm_gym.dynamics.compact.arm import STEP, ArmForecast, ArmResponse
+from pwm_gym.dynamics.compact.arm import ArmResponse
+from pwm_gym.dynamics.compact.gantry import GantryResponse
+from pwm_gym.dynamics.compact.joint_response import STEP, ArmForecast, JointResponse
 from pwm_gym.dynamics.compact.movers import Scales
 from pwm_gym.dynamics.protocols import Transitions
 from pwm_gym.dynamics.response import LinearResponse, twist, twists
 from pwm_gym.errors import SceneError
-from pwm_gym.robots import Control
+from pwm_gym.robots import Arm, Control
 from pwm_gym.scene import Layout
 from pwm_gym.scene.se3 import make_pose, rotation_from_vector
 
@@ -48,7 +50,7 @@ class RobotMotion(nn.Module):
         control: what actions mean.
         width: channels of a token.
         arm_width: channels of the networks of the arms' response.
-        kinematic: whether known chains are used, of the arms whose tool is what actions translate.
+        kinematic: whether known chains are used, of arms whose tool is what actions translate, and gantries.
     """
 
     position_units: Tensor
@@ -59,25 +61,21 @@ class RobotMotion(nn.Module):
         self.response = LinearResponse(links, control.size, control.drives_to_targets)
         self._targets = control.drives_to_targets
         self.hands, self.count = list(links.hands), len(links)
-        steered = [arm for arm in control.arms if control.channel(arm.name, "translation")]  # not joint by joint
-        arms = {arm.hand: arm for arm in steered if kinematic and arm.chain is not None}
-        counts = {arm.hand: arm.chain.joints for arm in arms.values() if arm.chain is not None}
+        arms = {arm.hand: arm for arm in control.arms if kinematic and _is_known(arm, control)}
         names = [links.names[k] for k in self.hands]
         for arm in control.arms:
             if arm.hand not in names:
                 raise SceneError(
                     f"arm {arm.name!r} has hand {arm.hand!r}; the robot's are {', '.join(names) or 'none'}"
                 )
-        self.arms = nn.ModuleList(
-            ArmResponse(arms[n], control, arm_width) if n in arms else nn.Identity() for n in names
-        )
+        self.arms = nn.ModuleList(_response(arms[n], control, arm_width) if n in arms else nn.Identity() for n in names)
         self.known = [n in arms for n in names]
-        sizes = [counts.get(n, 0) for n in names]
+        sizes = [a.joints if isinstance(a, JointResponse) else 0 for a in self.arms]
         self.slices = [slice(sum(sizes[:k]), sum(sizes[: k + 1])) for k in range(len(names))]
         self.robot_slices = [arms[n].joints for n in names if n in arms]
         self.joints = sum(sizes)
         self.arm_tokens = nn.ModuleList(
-            nn.Linear(a.features, width) if isinstance(a, ArmResponse) else nn.Identity() for a in self.arms
+            nn.Linear(a.features, width) if isinstance(a, JointResponse) else nn.Identity() for a in self.arms
         )
         self.heads = nn.ModuleList(nn.Linear(width, 2 * n if n else 6) for n in sizes)
         self.slide = nn.Linear(width, 1)
@@ -104,7 +102,7 @@ class RobotMotion(nn.Module):
         if joints is not None:
             return self.select(joints)
         arms = zip(self.hands, self.arms, strict=True)
-        found = [arm.observe(links[..., hand, :, :]) for hand, arm in arms if isinstance(arm, ArmResponse)]
+        found = [arm.observe(links[..., hand, :, :]) for hand, arm in arms if isinstance(arm, JointResponse)]
         return torch.cat(found, -1)
 
     def select(self, joints: Tensor) -> Tensor:
@@ -126,7 +124,7 @@ class RobotMotion(nn.Module):
         """Fit the responses: the linear one in closed form, the arms' with ``arm_steps`` optimiser steps."""
         t = transitions
         self.response.fit(t.links, t.actions, t.following)
-        known = [arm for arm in self.arms if isinstance(arm, ArmResponse)]
+        known = [arm for arm in self.arms if isinstance(arm, JointResponse)]
         for arm, place in zip(known, self.robot_slices, strict=True):
             arm.fit(t.joints[..., place], t.actions, t.following_joints[..., place], arm_steps, t.floor)
 
@@ -138,7 +136,7 @@ class RobotMotion(nn.Module):
         hands = list(moved.unbind(1))
         for k, arm in enumerate(self.arms):
             arms.append(None)
-            if isinstance(arm, ArmResponse):
+            if isinstance(arm, JointResponse):
                 assert joints is not None, "prepare() the state first"
                 own = joints[..., self.slices[k]]
                 arms[k] = forecast = arm(own, action, now[:, k], floor)
@@ -190,7 +188,7 @@ class RobotMotion(nn.Module):
         hands, found = [], []
         for k, (hand, arm) in enumerate(zip(self.hands, self.arms, strict=True)):
             learned, known = self.heads[k](tokens[:, hand]), forecast.arms[k]
-            if isinstance(arm, ArmResponse) and known is not None:
+            if isinstance(arm, JointResponse) and known is not None:
                 assert joints is not None
                 correction = STEP * known.motion_gate.unsqueeze(1) * learned.unflatten(1, (2, -1))
                 step, velocity = (known.step + correction).unbind(1)
@@ -218,6 +216,18 @@ class RobotMotion(nn.Module):
         pose = _moved(frames[:, 0], moved + step)
         position = self.response.confine(pose[:, None, :3, 3].expand(-1, len(self.hands), -1))[:, k]
         return make_pose(pose[:, :3, :3], position)
+
+
+def _is_known(arm: Arm, control: Control) -> bool:
+    """Whether the joints of an arm are what moves: not those of a chain that actions turn one by one."""
+    steered = arm.chain is not None and control.channel(arm.name, "translation") is not None
+    return steered or arm.gantry is not None
+
+
+def _response(arm: Arm, control: Control, width: int) -> JointResponse:
+    """The response of a known arm."""
+    kind = ArmResponse if arm.gantry is None else GantryResponse
+    return kind(arm, control, width)
 
 
 def _moved(pose: Tensor, move: Tensor) -> Tensor:
