@@ -1,6 +1,9 @@
+from dataclasses import replace
+
 import pytest
 import torch
 
+from pwm_gym.collection.scenes import simulated_bank
 from pwm_gym.data import Windows
 from pwm_gym.dynamics.compact.arm import ArmResponse
 from pwm_gym.dynamics.compact.model import CompactConfig, CompactModel
@@ -130,3 +133,34 @@ def test_turning_the_scene_about_the_vertical_turns_the_prediction(response, tra
     torch.testing.assert_close(after.poses(), turn @ plain.poses(), atol=2e-5, rtol=0)
     assert (plain.poses() - state.poses())[:, 0, :3, 3].norm(dim=1).min() > 1e-3
     torch.testing.assert_close(arm.kinematics(plain.joints[:, 0]), plain.poses()[:, 0])
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_hands_that_hold_each_other_up_make_the_mean_of_their_ways(known):
+    """Fully coupled, both hands go where the middle between them goes, and known joints bring them there."""
+    task = get_task("TwoArmBoxCleanup")
+    torch.manual_seed(0)
+    model = CompactModel(task.layout, task.control, replace(SMALL, kinematic=known, uncertain=False)).eval()
+    scene = simulated_bank(task, 1).scene(0)
+    state = model.prepare(batch_state([scene] * 3))
+    for arm in model.robot.arms:
+        if known:
+            count = arm.joints
+            arm.weight[:count, :count] = 0.4 * torch.eye(count)  # nearer to what is asked for
+    action = 0.3 * torch.randn(3, task.action_size, generator=torch.Generator().manual_seed(1)).clamp(-1, 1)
+    hands, at = list(task.layout.hands), state.poses()[..., :3, 3]
+    ways = []
+    with torch.no_grad():
+        for bias in (-3.0, 10.0):
+            model.robot.coupling.bias.fill_(bias)
+            after = model.step(state, action)
+            ways.append((after.poses()[..., :3, 3] - at)[:, hands])
+            if known:
+                for k, hand in enumerate(hands):
+                    joints = after.joints[:, 0, model.robot.slices[k]]
+                    torch.testing.assert_close(model.robot.arms[k].kinematics(joints), after.poses()[:, hand])
+    apart, together = ways
+    if known:
+        assert (apart[:, 0] - apart[:, 1]).norm(dim=-1).min() > 0.003
+    torch.testing.assert_close(together[:, 0], together[:, 1], atol=1e-3, rtol=0)
+    torch.testing.assert_close(together.mean(1), apart.mean(1), atol=1e-3, rtol=0)

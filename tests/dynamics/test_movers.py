@@ -6,7 +6,7 @@ import pytest
 import torch
 from acting import at_rest, many_actions, moved, on, steps
 
-from pwm_gym.dynamics.compact.movers import _gate
+from pwm_gym.dynamics.compact.gates import gate
 from pwm_gym.robots.joints import JointTree
 
 GRAVITY = 9.81
@@ -143,7 +143,7 @@ def test_what_rests_on_something_does_not_fall(worlds, set_gates, new_body, cree
 
 def test_gates_reach_zero_and_one_and_keep_their_gradient():
     logit = torch.tensor([-30.0, -3.0, 0.0, 3.0, 30.0], requires_grad=True)
-    value = _gate(logit)
+    value = gate(logit)
     assert value[[0, 1, 3, 4]].tolist() == [0.0, 0.0, 1.0, 1.0]
     assert value[2].item() == pytest.approx(0.5)
     value.sum().backward()

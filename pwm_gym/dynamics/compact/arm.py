@@ -53,6 +53,10 @@ class ArmResponse(JointResponse):
         before, _ = self.kinematics.solve(hand[..., 1, :, :], now, _ITERATIONS)
         return torch.stack([now, self.braking * (now - before)], -2)
 
+    def reach(self, hand: Tensor, joints: Tensor) -> Tensor:
+        """Joint positions (B, J) at which the hand is at ``hand`` (B, 4, 4), not far from where ``joints`` bring it."""
+        return self.kinematics.approach(hand, joints, 1)[0]
+
     def forward(self, joints: Tensor, action: Tensor, hand: Tensor, floor: float) -> ArmForecast:
         """The next step of joints (B, 2, J) under actions (B, A)."""
         return self.respond(joints, self.command(joints[:, 0], action, hand), hand, floor)

@@ -41,6 +41,10 @@ class GantryResponse(JointResponse):
         now, before = (self.kinematics.solve(hand[..., k, :, :]) for k in (0, 1))
         return torch.stack([now, self.braking * (now - before)], -2)
 
+    def reach(self, hand: Tensor, joints: Tensor) -> Tensor:
+        """Joint positions (B, J) at which the hand is at ``hand`` (B, 4, 4)."""
+        return self.kinematics.solve(hand)
+
     def forward(self, joints: Tensor, action: Tensor, hand: Tensor, floor: float) -> ArmForecast:
         """The next step of joints (B, 2, J) under actions (B, A)."""
         target = action[:, self._targets.slice]

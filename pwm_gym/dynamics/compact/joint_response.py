@@ -81,6 +81,10 @@ class JointResponse(nn.Module):
         """
         raise NotImplementedError
 
+    def reach(self, hand: Tensor, joints: Tensor) -> Tensor:
+        """Joint positions (B, J) at which the hand is at ``hand`` (B, 4, 4), not far from where ``joints`` bring it."""
+        raise NotImplementedError
+
     def fit(self, joints: Tensor, action: Tensor, following: Tensor, steps: int, floor: float) -> None:
         """Least squares, then gradient descent on the remainder.
 

@@ -14,6 +14,7 @@ import torch
 from torch import Tensor, nn
 
 from pwm_gym.dynamics.compact.contact import PAIR_FEATURES, Contacts
+from pwm_gym.dynamics.compact.gates import gate
 from pwm_gym.dynamics.compact.plan import Plan
 from pwm_gym.dynamics.compact.shapes import Shapes
 from pwm_gym.dynamics.response import twist
@@ -129,11 +130,11 @@ class MoverMotion(nn.Module):
         key = self.key(tokens[:, : plan.partners]).unflatten(-1, (2, -1))
         matched = torch.einsum("bfgc,bpgc->bfpg", query, key) * _MATCH**-0.5
         bias = torch.cat([self.link_bias, self.kind_bias[plan.kinds]])[: plan.partners]  # (P, 2)
-        gates = _gate(matched + self.pair(contacts.pairs) + bias)
+        gates = gate(matched + self.pair(contacts.pairs) + bias)
         carry = gates[..., 0] * ~plan.itself
         carry = carry / carry.sum(-1, keepdim=True).clamp_min(1.0)
         moving, flying, fall, twists = self.head(own).split([1, 1, 1, 6], -1)
-        return _Decoded(carry, _MOST_PUSH * gates[..., 1], _gate(moving) * twists, _gate(flying), torch.sigmoid(fall))
+        return _Decoded(carry, _MOST_PUSH * gates[..., 1], gate(moving) * twists, gate(flying), torch.sigmoid(fall))
 
     def _loose(
         self,
@@ -247,9 +248,3 @@ def _turn_about(pose: Tensor, middle: Tensor, centre: Tensor, move: Tensor) -> T
     """Poses (B, F, 4, 4) moved by twists (B, F, 6) about their canonical points ``middle``, which lie at ``centre``."""
     rotation = rotation_from_vector(move[..., 3:]) @ pose[..., :3, :3]
     return make_pose(rotation, centre + move[..., :3] - (rotation @ middle.unsqueeze(-1)).squeeze(-1))
-
-
-def _gate(logit: Tensor) -> Tensor:
-    """Sigmoid stretched to reach 0 and 1 exactly, with the plain sigmoid's gradient (never zero)."""
-    soft = torch.sigmoid(logit)
-    return soft + (torch.clamp(1.2 * soft - 0.1, 0.0, 1.0) - soft).detach()

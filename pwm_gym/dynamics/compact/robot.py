@@ -1,4 +1,8 @@
-"""How the robot moves: arms by their joints' response and kinematics, fingers along their joints."""
+"""How the robot moves: arms by their joints' response and kinematics, fingers along their joints.
+
+Hands that press on one body from both sides hold each other up: each makes its own way in part, and in part the mean of
+all. What shares they make is learned, an axis at a time.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +13,7 @@ from torch import Tensor, nn
 
 from pwm_gym.dynamics.compact.arm import ArmResponse
 from pwm_gym.dynamics.compact.gantry import GantryResponse
+from pwm_gym.dynamics.compact.gates import gate
 from pwm_gym.dynamics.compact.joint_response import STEP, ArmForecast, JointResponse
 from pwm_gym.dynamics.compact.movers import Scales
 from pwm_gym.dynamics.protocols import Transitions
@@ -22,6 +27,7 @@ __all__ = ["RobotForecast", "RobotMotion"]
 
 _POSITION, _ANGLE = 0.01, 1.0  # metres, and radians, of a driven joint's position that count as 1
 _SLIDE, _TURN = 0.005, 0.05  # the same of its step
+_APART = -3.0  # at which hands do not hold each other up
 
 
 @dataclass(frozen=True)
@@ -79,6 +85,11 @@ class RobotMotion(nn.Module):
         )
         self.heads = nn.ModuleList(nn.Linear(width, 2 * n if n else 6) for n in sizes)
         self.slide = nn.Linear(width, 1)
+        self.coupling = None
+        if len(names) > 1:
+            self.coupling = nn.Linear(width, 3)  # shares of the hands' mean way, along the frame's axes
+            nn.init.zeros_(self.coupling.weight)
+            nn.init.constant_(self.coupling.bias, _APART)
         for head in (*self.heads, self.slide):
             nn.init.zeros_(head.weight)
             nn.init.zeros_(head.bias)
@@ -197,11 +208,41 @@ class RobotMotion(nn.Module):
                 hands.append(arm.kinematics(angles))
             else:
                 hands.append(self._free_hand(k, links[:, :, hand], action, forecast.twists[:, k], learned, frame))
+        if self.coupling is not None:
+            hands, found = self._coupled(links[:, 0, self.hands], hands, found, tokens, frame)
         tree, positions = self.response.tree, forecast.positions[:, 0] + forecast.joint_step
         if len(tree):
             positions = positions + self.slide(tokens[:, tree.moving]).squeeze(-1) * self.step_units
         placed = self._placed(links[:, 0], torch.stack(hands, 1) if hands else forecast.hands, tree.limit(positions))
         return placed, torch.cat(found, -1) if found else None
+
+    def _coupled(
+        self, now: Tensor, hands: list[Tensor], joints: list[Tensor], tokens: Tensor, frame: Tensor
+    ) -> tuple[list[Tensor], list[Tensor]]:
+        """Hands' next poses (B, 4, 4) and known arms' joints (B, 2, J) where hands hold each other up.
+
+        Args:
+            now: the hands' present poses (B, H, 4, 4).
+            hands: their next poses alone.
+            joints: the known arms' joints alone.
+            tokens: the links' (B, L, C).
+            frame: rotation (B, 3, 3) of the frame of reference.
+        """
+        assert self.coupling is not None
+        share = gate(self.coupling(tokens[:, self.hands].mean(1)))
+        if not share.requires_grad and not share.any():
+            return hands, joints
+        ways = torch.stack(hands, 1)[..., :3, 3] - now[..., :3, 3]  # (B, H, 3)
+        lag = ((ways.mean(1, keepdim=True) - ways) @ frame * share.unsqueeze(1)) @ frame.transpose(1, 2)
+        shifted = [make_pose(p[:, :3, :3], p[:, :3, 3] + way) for p, way in zip(hands, lag.unbind(1), strict=True)]
+        following, rest = [], iter(joints)
+        for k, arm in enumerate(self.arms):
+            if isinstance(arm, JointResponse):
+                angles, velocity = next(rest).unbind(1)
+                reached = arm.kinematics.limit(arm.reach(shifted[k], angles))
+                following.append(torch.stack([reached, velocity + reached - angles], 1))
+                shifted[k] = arm.kinematics(reached)
+        return shifted, following
 
     def _free_hand(
         self, k: int, frames: Tensor, action: Tensor, moved: Tensor, learned: Tensor, frame: Tensor
