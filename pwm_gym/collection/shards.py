@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -53,23 +54,28 @@ class Shard:
         return {"demonstration": longest, "practice": PRACTICE_STEPS, "on_policy": _PLANNED_STEPS}[self.kind]
 
     def behaviours(self, task: Task) -> Callable[[int], Behaviour]:
-        """Who acts in the episode of a seed."""
-        if self.kind == "on_policy":
-            agent = Agent(load_checkpoint(resolve(self.config.checkpoint, task.name)).model, task.name)
-            return lambda seed: OnPolicy(task, agent, seed)
-        return lambda seed: self._unplanned(task, seed)
+        """Who acts in the episode of a seed, in the task's own scene or in the mirrored one."""
+        config, kind = self.config, SHARD_KINDS.index(self.kind)
+        act = self._planned(task) if self.kind == "on_policy" else partial(self._unplanned, task)
+
+        def make(seed: int) -> Behaviour:
+            behaviour = act(seed)
+            aside = np.random.default_rng([seed, kind, _MIRROR]).random() < config.mirrored
+            return Mirrored(task, behaviour) if aside else behaviour
+
+        return make
+
+    def _planned(self, task: Task) -> Callable[[int], Behaviour]:
+        """A planner, for all episodes of the shard."""
+        agent = Agent(load_checkpoint(resolve(self.config.checkpoint, task.name)).model, task.name)
+        return partial(OnPolicy, task, agent)
 
     def _unplanned(self, task: Task, seed: int) -> Behaviour:
-        """Practice or a demonstration, in the mirrored scene or in the task's own."""
-        config, kind = self.config, SHARD_KINDS.index(self.kind)
-        rng = np.random.default_rng([seed, kind])
-        behaviour: Behaviour
+        """Practice or a demonstration."""
+        config, rng = self.config, np.random.default_rng([seed, SHARD_KINDS.index(self.kind)])
         if self.kind == "practice":
-            behaviour = Practice(task, rng)
-        else:
-            behaviour = Demonstration(task, rng, randomise=config.randomise, jitter=config.jitter)
-        aside = np.random.default_rng([seed, kind, _MIRROR]).random() < config.mirrored
-        return Mirrored(task, behaviour) if aside else behaviour
+            return Practice(task, rng)
+        return Demonstration(task, rng, randomise=config.randomise, jitter=config.jitter)
 
     def write(self, task: Task, episodes: Sequence[Episode]) -> None:
         """Write the file."""
