@@ -45,8 +45,8 @@ class CollectConfig:
     """Largest standard deviation of the noise that is added to what an expert asks of arms, in action units, so that
     data hold small mistakes and how they are put right."""
     mirrored: float = 0.0
-    """Share of episodes in scenes that are mirrored between the robot's left and right, for tasks whose furniture stands
-    on one side always. Their goals stay."""
+    """Share of episodes in scenes that are mirrored between the robot's left and right, for tasks whose furniture
+    stands on one side always. Their goals stay."""
     workers: int = 2
     """Processes."""
     shard: int = 20
