@@ -42,6 +42,8 @@ _TASKS = {
     "FetchPickAndPlace": "evaluate_fetch_pick_and_place",
     "FetchSlide": "evaluate_fetch_slide",
     "OGBenchCubeSingle": "evaluate_ogbench_cube_single",
+    "AdroitHandDoor": "evaluate_adroit_hand_door",
+    "AdroitHandRelocate": "evaluate_adroit_hand_relocate",
     "TwoArmBoxCleanup": "evaluate_two_arm_box_cleanup",
     "TwoArmDrawerCleanup": "evaluate_two_arm_drawer_cleanup",
 }
@@ -58,6 +60,8 @@ _PAPER = {
     "FetchPickAndPlace": "none",
     "FetchSlide": "none",
     "OGBenchCubeSingle": "none",
+    "AdroitHandDoor": "none",
+    "AdroitHandRelocate": "none",
     "TwoArmBoxCleanup": "0.022 m and 0.83",
     "TwoArmDrawerCleanup": "0.058 m and 0.77",
 }
@@ -100,7 +104,7 @@ _LIMITS = """## What these figures do not show
 
 - Clouds are complete and come from the simulator's meshes, but for the baselines marked "partial" and the sections on
   completion, where the object is segmented by the simulator's ids: errors of segmentation are not in any row.
-- Tasks of five robots; Adroit's two and OGBench's two cubes have no model yet. What a model makes of shapes that it
+- Tasks of six robots; OGBench's two cubes have no model yet. What a model makes of shapes that it
   never saw is told for ten objects alone.
 - The arm's kinematics and its controller are known to the default model and to no baseline; the table of the arm, where
   it is given, tells what that is worth.

@@ -93,6 +93,15 @@ pwm-gym train --data data-sets/OGBenchCubeSingle --out runs/cube --threads 1 --a
     --phases 1 700 256 5 300 128 15 200 96
 ```
 
+`adroit-door` and `adroit-relocate` are of one task each: 30 minutes of one processor beside the other.
+
+```
+pwm-gym collect --task AdroitHandDoor --episodes 200 --held-out 24 --practice 0.3
+pwm-gym collect --task AdroitHandRelocate --episodes 200 --held-out 24 --practice 0.3
+pwm-gym train --data data-sets/AdroitHandDoor --out runs/door --threads 1 --phases 1 600 192 5 500 96 15 250 48
+pwm-gym train --data data-sets/AdroitHandRelocate --out runs/ball --threads 1 --phases 1 600 192 5 500 96 15 250 48
+```
+
 `two-hands` is of both tasks of two arms: 18 minutes of one processor on the box, then 15 on both; 27 and 33 by the
 clock beside many others.
 
