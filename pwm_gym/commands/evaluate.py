@@ -256,7 +256,8 @@ class Evaluate:
         told = row["all"].get("calibration") if "all" in row else None
         if told is None:
             return
-        ranks = ", ".join(f"{name} {value:.2f}" for name, value in told["rank_correlation"].items())
+        known = {name: value for name, value in told["rank_correlation"].items() if value is not None}
+        ranks = ", ".join(f"{name} {value:.2f}" for name, value in known.items())
         print(f"rank correlation of expected and real errors: {ranks}")
         if self.pictures is not None:
             from pwm_gym.viewer import draw_calibration

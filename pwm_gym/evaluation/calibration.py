@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 import torch
-from scipy.stats import spearmanr
 
+from pwm_gym.evaluation.metrics import spearman
 from pwm_gym.evaluation.rollouts import Rollouts
 from pwm_gym.scene import RigidState
 
@@ -21,7 +21,8 @@ def calibration(rollouts: Rollouts, chosen: np.ndarray) -> dict[str, Any] | None
     """Expected against real error over every step of the chosen episodes (M,); None where the model does not tell.
 
     Returns:
-        ``rank_correlation``: Spearman's, of each entity and of the mean over entities ("mean").
+        ``rank_correlation``: Spearman's, of each entity and of the mean over entities ("mean"); None where one
+            never moves.
         ``bins``: ten equally filled bins of the expected mean error, each with the expected and the real one, metres.
     """
     predicted = rollouts.states
@@ -35,7 +36,7 @@ def calibration(rollouts: Rollouts, chosen: np.ndarray) -> dict[str, Any] | None
     told, found = (x[kept].double().numpy() for x in (predicted.error, real))
     told, found = (np.c_[x, x.mean(1)] for x in (told, found))
     names = [*layout.names, "mean"]
-    ranks = {name: float(spearmanr(told[:, i], found[:, i]).statistic) for i, name in enumerate(names)}
+    ranks = {name: spearman(told[:, i], found[:, i]) for i, name in enumerate(names)}
     order = np.argsort(told[:, -1], kind="stable")
     bins = [
         {

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 from scipy.spatial import cKDTree
+from scipy.stats import rankdata
 
-__all__ = ["chamfer", "nearest_distances", "pearson"]
+__all__ = ["chamfer", "nearest_distances", "pearson", "spearman"]
 
 
 def chamfer(a: np.ndarray, b: np.ndarray, order: int = 1) -> float:
@@ -31,3 +32,8 @@ def pearson(a: np.ndarray, b: np.ndarray) -> float | None:
     if len(a) < 2 or a.std() < 1e-9 or b.std() < 1e-9:
         return None
     return float(np.corrcoef(a, b)[0, 1])
+
+
+def spearman(a: np.ndarray, b: np.ndarray) -> float | None:
+    """Spearman's rank correlation of two series; None where one of them does not vary."""
+    return pearson(rankdata(a), rankdata(b))

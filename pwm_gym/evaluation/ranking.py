@@ -6,10 +6,9 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from scipy.stats import rankdata
 
 from pwm_gym.errors import PwmGymError
-from pwm_gym.evaluation.metrics import pearson
+from pwm_gym.evaluation.metrics import pearson, spearman
 from pwm_gym.evaluation.planning import wilson
 
 __all__ = ["max_rank_violation", "measure_text", "ranking_table"]
@@ -58,7 +57,7 @@ def ranking_table(names: Sequence[str], model: np.ndarray, simulator: np.ndarray
         raise PwmGymError("no scene is left to rank by; expected at least one that is not solved at reset")
     draws = np.random.default_rng(0).integers(0, told.shape[1], (_DRAWS, told.shape[1]))
     drawn = [each[:, draws].mean(-1).T for each in (told, real)]  # rates (D, P) twice
-    measures = {"pearson": pearson, "spearman": _spearman, "mmrv": _violation}
+    measures = {"pearson": pearson, "spearman": spearman, "mmrv": _violation}
     return {
         "policies": len(names),
         "scenes": told.shape[1],
@@ -67,11 +66,6 @@ def ranking_table(names: Sequence[str], model: np.ndarray, simulator: np.ndarray
         "between_20_and_80": int(((real.mean(1) >= 0.2) & (real.mean(1) <= 0.8)).sum()),
         "rows": [_row(name, told[i], real[i]) for i, name in enumerate(names)],
     }
-
-
-def _spearman(model: np.ndarray, simulator: np.ndarray) -> float | None:
-    """Spearman's correlation of rates (P,); None where one of them does not vary."""
-    return pearson(rankdata(model), rankdata(simulator))
 
 
 def _violation(model: np.ndarray, simulator: np.ndarray) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import platform
 import shlex
@@ -57,7 +58,7 @@ def describe_commit() -> str | None:
 
 
 def write_results(path: Path, results: dict[str, Any]) -> None:
-    """Write ``results`` to ``path`` beside the command, machine, commit and date."""
+    """Write ``results`` to ``path`` beside the command, machine, commit and date; what is no finite number is null."""
     record = {
         "command": " ".join([_program(), shlex.join(sys.argv[1:])]).strip(),
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
@@ -65,7 +66,20 @@ def write_results(path: Path, results: dict[str, Any]) -> None:
         "machine": describe_machine(),
         **results,
     }
-    write_atomically(path, (json.dumps(record, indent=1, default=float) + "\n").encode())
+    text = json.dumps(_finite(record), indent=1, allow_nan=False)
+    write_atomically(path, (text + "\n").encode())
+
+
+def _finite(value: Any) -> Any:
+    """Plain values, None in the place of what JSON has no number for."""
+    if isinstance(value, dict):
+        return {key: _finite(part) for key, part in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(part) for part in value]
+    if value is None or isinstance(value, bool | int | str):
+        return value
+    number = float(value)
+    return number if math.isfinite(number) else None
 
 
 def _program() -> str:

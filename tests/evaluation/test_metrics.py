@@ -3,9 +3,11 @@ import json
 import numpy as np
 import pytest
 import torch
+from scipy.stats import spearmanr
 
 from pwm_gym.errors import PwmGymError
 from pwm_gym.evaluation import chamfer, pearson, planning_table, wilson, write_results
+from pwm_gym.evaluation.metrics import spearman
 
 
 def brute_force(a, b, order):
@@ -61,6 +63,12 @@ def test_a_table_of_no_runs_is_refused():
         planning_table([])
 
 
+def test_ranks_agree_with_scipys():
+    a, b = np.random.default_rng(0).normal(size=(2, 50)).round(1)  # with ties
+    assert spearman(a, b) == pytest.approx(spearmanr(a, b).statistic)
+    assert spearman(a, np.exp(a)) == pytest.approx(1.0) and spearman(a, np.ones(50)) is None
+
+
 def test_wilson_of_nothing_is_everything():
     assert wilson(0, 0) == (0.0, 1.0)
 
@@ -68,9 +76,11 @@ def test_wilson_of_nothing_is_everything():
 def test_results_are_written_with_what_made_them(tmp_path, monkeypatch):
     torch.set_num_threads(1)
     monkeypatch.setattr("sys.argv", ["/somewhere/pwm_gym/__main__.py", "evaluate", "--members", "a b"])
-    write_results(tmp_path / "deep" / "results.json", {"value": np.float32(0.5)})
+    values = {"value": np.float32(0.5), "parts": [{"none": float("nan")}, (np.inf, 2, True, None, "x")]}
+    write_results(tmp_path / "deep" / "results.json", values)
     record = json.loads((tmp_path / "deep" / "results.json").read_text())
     assert record["value"] == 0.5
+    assert record["parts"] == [{"none": None}, [None, 2, True, None, "x"]]
     assert {"command", "date", "commit", "machine"} <= set(record)
     assert record["command"] == "pwm-gym evaluate --members 'a b'"
     assert record["machine"]["torch_threads"] == 1
