@@ -19,7 +19,7 @@ SEED = r"expected a whole number from 0 to 2\*\*63 - 1"
         ({"task": None}, "unknown task None; known: "),
         ({"task": ["PickCube"]}, r"unknown task \['PickCube'\]; known: "),
         ({"cost": 3}, "unknown cost 3; known: "),
-        ({"checkpoint": None}, "unknown checkpoint None; known: default, "),
+        ({"checkpoint": None}, "unknown checkpoint None; known: adroit-door, "),
         ({"points": 100.5}, f"points=100.5; {WHOLE} from 4 to 1200"),
         ({"points": "a"}, f"points='a'; {WHOLE}"),
         ({"num_envs": "3"}, f"num_envs='3'; {WHOLE} of at least 1"),
