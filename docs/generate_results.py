@@ -18,6 +18,7 @@ from trained import TRAINED
 
 from pwm_gym.assets.liftable import liftable_objects
 from pwm_gym.evaluation.planning import wilson
+from pwm_gym.tasks import get_task
 
 PAGE = ROOT / "docs" / "results.md"
 
@@ -28,7 +29,7 @@ _MODELS = {
     "commanded": "commanded pose, no learning",
     "still": "nothing moves",
 }
-_LINKS = ("hand", "left_gripper", "right_gripper")
+_JOINTS = {"joint_mm": "mm", "joint_deg": "degrees"}
 _TASKS = {
     "PickCube": "evaluate_pick_cube",
     "StackCube": "evaluate_stack_cube",
@@ -160,7 +161,9 @@ def _rollouts(task: str, name: str) -> str:
     result = read(name)
     if result is None:
         return ""
-    objects = [k for k in result["rows"]["compact"]["all"]["entities"] if k not in _LINKS]
+    objects = [e.name for e in get_task(task.partition(",")[0]).layout if not e.driven]
+    first_row = result["rows"]["compact"]["all"]["entities"]
+    joints = [(k, measure) for k in objects for measure in _JOINTS if measure in first_row[k]]
     rows = []
     for split in ("all", "expert", "randomised", "practice"):
         for key, label in _MODELS.items():
@@ -169,9 +172,12 @@ def _rollouts(task: str, name: str) -> str:
                 continue
             first = f"{split} ({row['episodes']})" if key == "compact" else ""
             cells = [number(row["chamfer_l1"], 4), number(row["reward_correlation"], 3)]
-            rows.append([first, label, *cells, *(_at_60(row["entities"][k]) for k in objects)])
+            cells += [_error(row["entities"][k], "position_mm", "60") for k in objects]
+            cells += [_error(row["entities"][k], measure, "last") for k, measure in joints]
+            rows.append([first, label, *cells])
     head = ["episodes", "model", "Chamfer L1 (m)", "reward correlation"]
     head += [f"{name} at 60, mean / median (mm)" for name in objects]
+    head += [f"{name}'s joint at the end, mean / median ({_JOINTS[measure]})" for name, measure in joints]
     best, floors, told = result["rows"]["compact"]["all"], result["floors"], ""
     if floors:
         told = "\n" + paragraph(
@@ -183,9 +189,9 @@ def _rollouts(task: str, name: str) -> str:
     return f"## {task}\n\n{source(name, result)}\n{grid(head, rows)}{told}"
 
 
-def _at_60(entity: dict[str, Any]) -> str:
-    position = entity["position_mm"].get("60")
-    return f"{position['mean']:.1f} / {position['median']:.1f}" if position else "-"
+def _error(entity: dict[str, Any], measure: str, step: str) -> str:
+    error = entity.get(measure, {}).get(step)
+    return f"{error['mean']:.1f} / {error['median']:.1f}" if error else "-"
 
 
 def _onsets() -> str:
