@@ -30,7 +30,7 @@ def transitions(count, seed):
 def response():
     torch.manual_seed(0)
     fitted = GantryResponse(ARM, CONTROL, width=64)
-    fitted.fit(*transitions(4000, 0), steps=1000, floor=0.0)
+    fitted.fit(*transitions(4000, 0), steps=600, floor=0.0)
     return fitted.requires_grad_(False)
 
 
