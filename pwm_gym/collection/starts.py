@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from pwm_gym.collection.extents import Extents
 from pwm_gym.errors import SceneError
 from pwm_gym.scene import Layout, Scene
-from pwm_gym.scene.poses import mirrored
+from pwm_gym.scene.poses import mirrored, turn_between
 from pwm_gym.sim import PlacesBodies, Simulator
 from pwm_gym.tasks import Task
 
@@ -24,7 +24,7 @@ LONG = 120  # steps of an expert that make a task a long one
 _GAP = 5e-4  # metres left between what is put in contact, so that nothing starts inside anything
 _BESIDE_HAND = 0.15  # metres from the tool at which the hand and its fingers are out of the way
 _WIDEST = 0.07  # metres: what fits between open fingers
-_APART = 1e-3  # metres (and of unit quaternions) that a mirrored scene may differ from what was asked for
+_APART = 1e-3  # metres and radians by which a mirrored body may be off
 
 
 def run_ahead(simulator: Simulator, task: Task, rng: np.random.Generator) -> np.ndarray | None:
@@ -61,12 +61,11 @@ def mirror(simulator: Simulator, task: Task) -> None:
         task.name, task.layout, clouds, history, simulator.goal(), simulator.joints(), assets=simulator.assets()
     )
     simulator.restore(scene, rebuild=False)
+    found = simulator.poses()
     for i in still:
-        given = simulator.poses()[i]
-        apart = min(np.abs(given - poses[i]).max(), np.abs(given * ([1.0] * 3 + [-1.0] * 4) - poses[i]).max())
-        if apart > _APART:
+        if np.linalg.norm(found[i, :3] - poses[i, :3]) > _APART or turn_between(poses[i], found[i]) > _APART:
             name = task.layout.names[i]
-            raise SceneError(f"{task.name} cannot be mirrored: {name!r} would be at {poses[i]}, and is at {given}")
+            raise SceneError(f"{task.name} cannot be mirrored: {name!r} would be at {poses[i]}, and is at {found[i]}")
 
 
 def perturb(

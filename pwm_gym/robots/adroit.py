@@ -8,14 +8,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+import torch
 
 from pwm_gym.robots.control import Arm, Channel, Control, Gantry
+from pwm_gym.robots.gantry import GantryKinematics
 from pwm_gym.robots.robot import Robot
 from pwm_gym.scene import Layout, Support
 from pwm_gym.scene.joint import Joint, Pose7
 from pwm_gym.scene.poses import compose, rotation
+from pwm_gym.scene.se3 import matrix_from_pose7
 
 __all__ = [
     "DOOR_ARM",
@@ -118,12 +122,18 @@ class Forearm:
     """Smallest target of each joint, metres and radians."""
     upper: tuple[float, ...]
 
+    @cached_property
+    def gantry(self) -> Gantry:
+        """The same joints, as models know them."""
+        return Gantry(_START, self.slides, self.lower, self.upper)
+
+    @cached_property
+    def _kinematics(self) -> GantryKinematics:
+        return GantryKinematics(self.gantry)
+
     def joints(self, forearm: np.ndarray) -> np.ndarray:
         """Joint positions (K,) of the forearm at a pose (7,); turns are taken to be small."""
-        start = rotation(np.array(_START))
-        slid = start.inv().apply(forearm[:3] - np.array(_START[:3]))
-        turned = (start.inv() * rotation(forearm)).as_euler("XYZ")
-        return np.r_[slid[list(self.slides)], turned]
+        return self._kinematics.solve(matrix_from_pose7(torch.from_numpy(forearm.astype(np.float64)))).numpy()
 
     def jacobian(self, forearm: np.ndarray, place: np.ndarray) -> np.ndarray:
         """Way (3, K) of a place (3,) that the forearm carries, for each joint's metre or radian."""
@@ -162,11 +172,10 @@ def _robot(name: str, arm: Forearm) -> Robot:
         Channel("joint", own, moved, rest=None),
         Channel("finger", moved, size, rest=None),
     )
-    gantry = Gantry(_START, arm.slides, arm.lower, arm.upper)
     return Robot(
         name=name,
         links=_LINKS,
-        control=Control(channels, (Arm("arm", "forearm", gantry=gantry),), _PERIOD),
+        control=Control(channels, (Arm("arm", "forearm", gantry=arm.gantry),), _PERIOD),
         joints=_JOINTS,
         tool=tool_pose,
         action_names=(*arm.names, *_ACTUATED),

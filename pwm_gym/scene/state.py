@@ -132,7 +132,7 @@ class RigidState:
             rows = slice(None) if counts[i] == len(flat) else moves[:, i].nonzero().squeeze(-1)
             if counts[i]:
                 placed[rows, entity.slice] = transform(flat[rows, i], clouds[rows, entity.slice])
-        return placed.unflatten(0, poses.shape[:-3]) if poses.ndim > 3 else placed[0]
+        return placed.view(*poses.shape[:-3], *placed.shape[1:])
 
     def entity(self, name: str, step: int = 0) -> Tensor:
         """World-frame points (..., n, 3) of one entity, ``step`` (0, 1 or 2) steps ago."""

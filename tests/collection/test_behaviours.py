@@ -34,8 +34,31 @@ class Still:
     def assets(self):
         return TASK.layout.names
 
+    def joints(self):
+        return np.zeros((2, 9), np.float32)
+
     def meshes(self):
         return {name: trimesh.creation.box([0.04] * 3) for name in TASK.layout.names}
+
+
+class Counting(Still):
+    """The same, counting its steps."""
+
+    steps = 0
+
+    def step(self, action):
+        self.steps += 1
+
+
+def check_starts(start, length, begun):
+    """Episodes of 40 seeds start up to ``length`` steps along the expert's way, or all at its beginning."""
+    counts = []
+    for seed in range(40):
+        still = Counting()
+        start(seed, still)
+        counts.append(still.steps)
+    share = np.mean(np.array(counts) > 0)
+    assert (0.7 < share < 0.97 and max(counts) > 200 and max(counts) < length) if begun else share == 0
 
 
 def demonstrations(count, **settings):
@@ -234,19 +257,12 @@ def test_a_switch_comes_within_the_experts_length():
 
 @pytest.mark.parametrize(("length", "begun"), [(240, True), (99, False)])
 def test_practice_of_a_long_task_starts_anywhere_along_the_experts_way(length, begun):
-    class Counting(Still):
-        steps = 0
+    task = replace(TASK, expert_steps=length)
 
-        def step(self, action):
-            Counting.steps += 1
+    def start(seed, still):
+        Practice(task, np.random.default_rng(seed), unusual=0.0).start(still)
 
-    task, counts = replace(TASK, expert_steps=length), []
-    for seed in range(40):
-        Counting.steps = 0
-        Practice(task, np.random.default_rng(seed), unusual=0.0).start(Counting())
-        counts.append(Counting.steps)
-    share = np.mean(np.array(counts) > 0)
-    assert (0.7 < share < 0.97 and max(counts) > 200 and max(counts) < length) if begun else share == 0
+    check_starts(start, length, begun)
 
 
 def test_a_mirrored_scene_has_its_furniture_on_the_other_side(mug_simulator):
@@ -280,9 +296,6 @@ def test_a_mirrored_behaviour_is_the_same_one_in_the_mirrored_scene(mug_simulato
 
 def test_a_scene_that_cannot_be_mirrored_is_refused():
     class Fixed(Still):
-        def joints(self):
-            return np.zeros((2, 9), np.float32)
-
         def restore(self, scene, rebuild=True): ...
 
     with pytest.raises(SceneError, match="PickCube cannot be mirrored: 'cube' would be at .*, and is at"):
@@ -302,29 +315,19 @@ def test_a_share_of_the_episodes_is_mirrored(kind, tmp_path):
 
 @pytest.mark.parametrize(("length", "begun"), [(240, True), (99, False)])
 def test_planned_episodes_of_a_long_task_start_anywhere_along_the_experts_way(length, begun):
-    class Counting(Still):
-        steps = 0
-
-        def step(self, action):
-            Counting.steps += 1
-
-        def joints(self):
-            return np.zeros((2, 9), np.float32)
+    task, known = replace(TASK, expert_steps=length), []
 
     class Planner:
         def reset(self, seed): ...
 
         def act(self, scene):
-            known = scene.last_action is not None
-            assert known == (Counting.steps > 0)
+            known.append(scene.last_action is not None)
             return np.zeros(7)
 
-    task, counts = replace(TASK, expert_steps=length), []
-    for seed in range(40):
-        Counting.steps, still = 0, Counting()
+    def start(seed, still):
         planned = OnPolicy(task, Planner(), seed)
         planned.start(still)
         planned.act(still)
-        counts.append(Counting.steps)
-    share = np.mean(np.array(counts) > 0)
-    assert (0.7 < share < 0.97 and max(counts) > 200 and max(counts) < length) if begun else share == 0
+        assert known.pop() == (still.steps > 0)
+
+    check_starts(start, length, begun)

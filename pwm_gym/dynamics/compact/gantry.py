@@ -47,23 +47,25 @@ class GantryResponse(JointResponse):
 
     def forward(self, joints: Tensor, action: Tensor, hand: Tensor, floor: float) -> ArmForecast:
         """The next step of joints (B, 2, J) under actions (B, A)."""
-        target = action[:, self._targets.slice]
         position, velocity = joints.unbind(1)
-        one = torch.ones_like(target[:, :1])
         height = hand[:, 2, 3:] - floor
         parts = [
-            target,
+            action[:, self._targets.slice],
             position,
             20.0 * velocity,
             torch.tanh(height / 0.02),
             torch.tanh(height / 0.1),
             hand[:, 2, :3],
         ]
-        return self._forecast(torch.cat([target, position, velocity, one], 1), torch.cat(parts, 1), one)
+        always = joints.new_ones(len(joints), 1)  # a target asks for motion wherever the joint is not there yet
+        return self._forecast(self._moves(joints, action), torch.cat(parts, 1), always)
+
+    def _moves(self, joints: Tensor, action: Tensor) -> Tensor:
+        """What the linear part follows from (B, 3 J + 1): targets, positions, velocities and a constant."""
+        return torch.cat([action[:, self._targets.slice], *joints.unbind(1), joints.new_ones(len(joints), 1)], 1)
 
     def fit(self, joints: Tensor, action: Tensor, following: Tensor, steps: int, floor: float) -> None:
         """Least squares, then gradient descent on the remainder."""
-        hand, one = self.kinematics(joints[:, 0]), joints.new_ones(len(joints), 1)
-        moves = torch.cat([action[:, self._targets.slice], *joints.unbind(1), one], 1)
-        moved = self._fit_linear(moves, joints, following)
+        hand = self.kinematics(joints[:, 0])
+        moved = self._fit_linear(self._moves(joints, action), joints, following)
         self._descend(lambda rows: self(joints[rows], action[rows], hand[rows], floor), moved, steps)

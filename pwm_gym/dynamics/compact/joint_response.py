@@ -27,7 +27,7 @@ class ArmForecast:
     """An arm's next step as fitted, and what a model needs to correct it."""
 
     step: Tensor
-    """Change of the joints' positions, and their velocities after it (B, 2, J): radians, radians a step."""
+    """Change of the joints' positions, and their velocities after it (B, 2, J): radians (metres), and these a step."""
     features: Tensor
     """What the step follows from, and the step itself (B, K), of order 1; the same for a turned base."""
     motion_gate: Tensor
