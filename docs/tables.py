@@ -126,7 +126,7 @@ def all_tables() -> list[str]:
 def task_tables() -> list[str]:
     """The tables of trainings and of planning that are there of the tasks after the first."""
     found = []
-    for task, suffix in _TASKS.items():
+    for task, suffix in {**_TASKS, **_MUJOCO_TASKS}.items():
         for table in _LATER:
             name = f"table_{table}_{suffix}"
             if (result := read(name)) is not None:
