@@ -35,6 +35,7 @@ COMMANDS = (
     "view",
     "bench",
     "scenes",
+    "average",
     "check-cost",
     "publish",
     "assets",

@@ -1,5 +1,6 @@
 """World models of completed point clouds, their training, checkpoints and baselines."""
 
+from pwm_gym.dynamics.averaging import average
 from pwm_gym.dynamics.checkpoint import Checkpoint, SceneBank, load_checkpoint, resolve, save_checkpoint
 from pwm_gym.dynamics.compact.model import CompactConfig, CompactModel
 from pwm_gym.dynamics.hub import from_pretrained, push_to_hub, save_pretrained
@@ -16,6 +17,7 @@ __all__ = [
     "PaperModel",
     "SceneBank",
     "WorldModel",
+    "average",
     "build_model",
     "from_pretrained",
     "load_checkpoint",

@@ -1,0 +1,57 @@
+"""One checkpoint out of several that a training went through."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import torch
+
+from pwm_gym.dynamics.checkpoint import load_checkpoint, save_checkpoint
+from pwm_gym.errors import CheckpointError
+
+__all__ = ["average"]
+
+
+def average(folders: Sequence[str | Path], out: str | Path, shares: Sequence[float] | None = None) -> None:
+    """Write a checkpoint whose weights are the mean of several, each trained on from another of them.
+
+    What one training forgets of another's data, the mean often knows (Wortsman et al., "Model soups", 2022). Scenes,
+    description and what is not a floating-point number are those of the last.
+
+    Args:
+        folders: of the checkpoints.
+        out: folder of the new one.
+        shares: of each in the mean; None gives all the same. Only their ratios count.
+
+    Raises:
+        CheckpointError: fewer than two, one that cannot be read, one of another kind or size than the last, or shares
+            of another number, or that are not positive.
+
+    Example:
+        >>> average(["runs/one/checkpoint", "runs/two/checkpoint"], "runs/mean")  # doctest: +SKIP
+    """
+    if len(folders) < 2:
+        raise CheckpointError(f"{len(folders)} checkpoints to average; expected two at least")
+    share = torch.ones(len(folders)) if shares is None else torch.as_tensor(list(shares), dtype=torch.float32)
+    if len(share) != len(folders) or not bool((share > 0).all()):
+        raise CheckpointError(f"shares={shares} of {len(folders)} checkpoints; expected as many positive numbers")
+    loaded = [load_checkpoint(folder) for folder in folders]
+    *others, last = loaded
+    weights = last.model.state_dict()
+    for other in others:
+        given = {name: value.shape for name, value in other.model.state_dict().items()}
+        if other.kind != last.kind or given != {name: value.shape for name, value in weights.items()}:
+            raise CheckpointError(f"{other.folder} is of another kind or size than {last.folder}; expected the same")
+    parts = [checkpoint.model.state_dict() for checkpoint in loaded]
+    share = share / share.sum()
+    mean = {
+        name: torch.stack([w * part[name] for w, part in zip(share, parts, strict=True)]).sum(0)
+        if value.is_floating_point()
+        else value
+        for name, value in weights.items()
+    }
+    last.model.load_state_dict(mean)
+    averaged = {str(folder): w for folder, w in zip(folders, share.tolist(), strict=True)}
+    training = {**last.description["training"], "averaged": averaged}
+    save_checkpoint(Path(out), last.model, last.kind, list(last.banks.values()), training, {})
