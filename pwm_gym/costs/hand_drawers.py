@@ -25,6 +25,9 @@ DEEP_DRAWER = Drawer.of(DEEP_CABINET)
 _GAP_MIDDLE = DEEP_CABINET.handle[0] - DEEP_CABINET.gap_middle  # behind the bar, where a hand hangs
 _BAR_OVER = 0.006  # of the tool over the bar there
 _HUNG = (0.022, 0.030, 0.035)  # along the way, across it, in height: the hand is behind the bar
+_HIGH = 0.10  # of a hand over where it goes, while it turns or waits
+_OVER_BAR = (0.03, 0.06)  # beside where the hand hangs, at most, and over it, at least, of one that may come down
+_TURNED = 0.02  # share of a half turn, at most, by which a hand may be turned that comes down
 _OPENED_FURTHER = 0.01
 _CLEARANCE, _GRIP_HEIGHT = 0.08, 0.018
 _ABOUT = (0.012, 0.02)  # beside and over its place, of a hand that may close
@@ -116,15 +119,17 @@ def sequence(drawer: Drawer, name: str, inside: Term, opened: float, shut: float
     is_held, is_shut = holds("right", name), drawers.shut_to(drawer, shut)
     still_open = drawers.open_to(drawer, opened)
     hang: dict[str, tuple[float, Term]] = {"hang": (3.0, _off(beside("left", drawer)))}
-    turned = {"left_turn": (3.0, facing("left", drawer)), "right_turn": (3.0, facing("right", drawer, quarter=True))}
+    turned = {"left_turn": (6.0, facing("left", drawer)), "right_turn": (6.0, facing("right", drawer, quarter=True))}
+    waiting: dict[str, tuple[float, Term]] = {**turned, "wait": (0.5, _over(_way_to_grip(name)))}
     gripping = {**turned, **hang, "closed": (3.0, _open_hand(name)), "off_grip": (4.0, _off_grip(name))}
     swung = {"thumb": (2.0, _thumb_aside(name))}
     disturbed = {"disturbance": (2.0, lambda p, i: (speed(i["velocity"], name) / 0.005).clamp_max(4.0))}
     return [
-        Stage("hook", {**turned, **disturbed, "approach": (1.5, _from_above(beside("left", drawer)))}, _hangs(drawer)),
+        Stage("turn", {**waiting, **disturbed, "over": (1.5, _over(beside("left", drawer)))}, _may_hang(drawer)),
+        Stage("hook", {**waiting, **disturbed, "approach": (1.5, _from_above(beside("left", drawer)))}, _hangs(drawer)),
         Stage(
             "open drawer",
-            {**turned, "hang": (3.0, _level(beside("left", drawer))), "opened": (-8.0, drawers.opened(drawer))},
+            {**waiting, "hang": (3.0, _level(beside("left", drawer))), "opened": (-8.0, drawers.opened(drawer))},
             drawers.open_to(drawer, opened + _OPENED_FURTHER),
         ),
         Stage(
@@ -184,13 +189,36 @@ def _from_above(way: Place) -> Term:
     return term
 
 
+def _over(way: Place) -> Term:
+    """Length (B,) of a way to 10 cm over its end, sharper when near."""
+
+    def term(points: Points, info: Info) -> Tensor:
+        whole = way(points, info)
+        distance = torch.cat([whole[..., :2], whole[..., 2:] + _HIGH], -1).norm(dim=-1)
+        return 5.0 * distance + torch.tanh(distance / _UNIT)
+
+    return term
+
+
+def _may_hang(drawer: Drawer) -> Term:
+    """Bool (B,): the left hand is over the gap behind the bar and turned as it hangs there, or hangs there."""
+    way, hangs = beside("left", drawer), _hangs(drawer)
+
+    def term(points: Points, info: Info) -> Tensor:
+        offset = way(points, info)
+        over = (offset[..., :2].norm(dim=-1) <= _OVER_BAR[0]) & (-offset[..., 2] >= _OVER_BAR[1])
+        return (over & (facing("left", drawer)(points, info) <= _TURNED)) | hangs(points, info)
+
+    return term
+
+
 def _hangs(drawer: Drawer) -> Term:
     """Bool (B,): the left hand is behind the bar."""
     way = beside("left", drawer)
 
     def term(points: Points, info: Info) -> Tensor:
         offset = way(points, info).abs()
-        return (offset <= offset.new_tensor(_HUNG)).all(-1) & (facing("left", drawer)(points, info) <= 0.02)
+        return (offset <= offset.new_tensor(_HUNG)).all(-1) & (facing("left", drawer)(points, info) <= _TURNED)
 
     return term
 

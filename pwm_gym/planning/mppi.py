@@ -51,7 +51,7 @@ class MPPIConfig(SamplingConfig):
         perturb one channel alone, and some move all arms alike.
         """
         fine = cls.fine()
-        turns = replace(fine.noise.rotation, sigma=(0.0, 0.0, 0.2))
+        turns = replace(fine.noise.rotation, sigma=(0.0, 0.0, 0.4))
         fingers = replace(fine.noise.finger, sigma=(0.5,), correlation=0.97, min_noise_scale=0.03, synergy=0.8)
         noise = replace(fine.noise, rotation=turns, finger=fingers)
         return replace(

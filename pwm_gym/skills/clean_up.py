@@ -37,6 +37,8 @@ class CleanUp:
     """Longest translation asked for in a step, metres."""
     by_body: bool = False
     """Whether the mug is held about its body, where the gripper is wide enough, instead of by its rim."""
+    hooked: bool = False
+    """Whether shut fingers pull the drawer open, instead of holding its handle between them."""
 
     def act(self) -> np.ndarray:
         """Action (7,)."""
@@ -77,7 +79,7 @@ class CleanUp:
 
     @cached_property
     def _drawer(self) -> OpenDrawer:
-        return OpenDrawer(self.poses, self.poses[3], self.poses[4], self.speed)
+        return OpenDrawer(self.poses, self.poses[3], self.poses[4], self.speed, self.hooked)
 
     @cached_property
     def _turn(self) -> Rotation:

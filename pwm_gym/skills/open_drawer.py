@@ -19,6 +19,9 @@ _UP = np.array([0.0, 0.0, 1.0])
 _PULLED, _OPEN = 0.15, 0.135  # metres of the drawer's way
 _WIDE, _RELEASED = 0.032, 0.026  # between the pads on the way down, and when they have left the bar
 _NEAR, _CLEAR = 0.04, 0.05  # beside and over the handle, within which the tool has not left it yet
+_OVER_BAR = 0.08  # of shut fingers over the handle, on their way behind it
+_AMID, _LOW = 0.012, 0.008  # beside their place behind it, where they come down, and over it, where they pull
+_HANGS = 0.030  # beside that place, of fingers that pull
 
 
 @dataclass(frozen=True)
@@ -33,25 +36,53 @@ class OpenDrawer:
     """Pose (7,)."""
     speed: float
     """Longest translation asked for in a step, metres."""
+    hooked: bool = False
+    """Whether shut fingers pull the handle from behind, instead of holding it between them."""
 
     def act(self) -> np.ndarray | None:
         """Action (7,); None where nothing is left to do."""
+        pulling = self._hook() if self.hooked else self._pull()
+        if pulling is not None:
+            return pulling
+        return self._leave() if self._at_bar else None
+
+    def _pull(self) -> np.ndarray | None:
+        """Hold the handle from above, and away with it; None where the drawer is open."""
         bar = Pinch((LOW_CABINET.handle_width - 0.004, LOW_CABINET.handle_width + 0.004), _WIDE, 0.08, self.speed)
         if bar.holds(self.poses, self.bar) and self.opening < _PULLED:
             return self._move(self.bar + 0.05 * self.front, gripper=-1.0)
         if self.opening < _OPEN:
             return bar.act(self.poses, self.bar, self.front)
-        return self._leave() if self._at_bar else None
+        return None
+
+    def _hook(self) -> np.ndarray | None:
+        """Shut fingers over the gap behind the handle, down, and away with it; None where the drawer is open."""
+        place = self.in_drawer((LOW_CABINET.gap_middle, *LOW_CABINET.handle[1:]))
+        offset = self._tool[:3] - place
+        beside = float(np.hypot(*offset[:2]))
+        if beside < _HANGS and offset[2] < _LOW and self.opening < _PULLED:
+            return self._move(self._tool[:3] + 0.05 * self.front, gripper=-1.0, closing=self._side)
+        if self.opening >= _OPEN:
+            return None
+        target = place + _OVER_BAR * _UP
+        if beside < _AMID:
+            target = place
+        elif offset[2] < _OVER_BAR - 0.03:  # rise before moving sideways
+            target[:2] = self._tool[:2]
+        return self._move(target, gripper=-1.0, closing=self._side)
 
     def _leave(self) -> np.ndarray:
         """Let the handle go, then rise straight."""
+        if self.hooked:
+            return self._move(self._tool[:3] + 0.1 * _UP, gripper=-1.0, closing=self._side)
         wide = panda.gripper_command(_WIDE)
         if panda.opening(self.poses) < _RELEASED:
             return self._move(self._tool[:3], wide)
         return self._move(self._tool[:3] + 0.1 * _UP, wide)
 
-    def _move(self, target: np.ndarray, gripper: float) -> np.ndarray:
-        return servo(panda.PANDA, self._tool, target, self.front, self.speed, gripper)
+    def _move(self, target: np.ndarray, gripper: float, closing: np.ndarray | None = None) -> np.ndarray:
+        closing = self.front if closing is None else closing
+        return servo(panda.PANDA, self._tool, target, closing, self.speed, gripper)
 
     # What the poses tell ------------------------------------------------------------------------------------------
 
@@ -67,6 +98,11 @@ class OpenDrawer:
     def front(self) -> np.ndarray:
         """Direction (3,) in which the drawer opens."""
         return self._turn.apply([1.0, 0.0, 0.0])
+
+    @cached_property
+    def _side(self) -> np.ndarray:
+        """Direction (3,) along the handle's bar."""
+        return np.cross(_UP, self.front)
 
     @cached_property
     def bar(self) -> np.ndarray:

@@ -78,21 +78,22 @@ register_stages(
 
 @dataclass(frozen=True)
 class MugCleanupExpert:
-    """Pull the drawer open, put the mug into it, held by its rim or about its body, push the drawer shut."""
+    """Pull or hook the drawer open, put the mug into it, held by its rim or about its body, push the drawer shut."""
 
     speed: float
     by_body: bool
+    hooked: bool = False
 
     @classmethod
     def sample(cls, rng: np.random.Generator) -> MugCleanupExpert:
-        """Expert of a random speed and a random grip."""
-        return cls(rng.uniform(0.020, 0.030), bool(rng.random() < 0.5))
+        """Expert of a random speed, grip and way to open; one in two hooks the handle."""
+        return cls(rng.uniform(0.020, 0.030), bool(rng.random() < 0.5), bool(rng.random() < 0.5))
 
     def act(self, poses: np.ndarray, goal: np.ndarray, assets: Sequence[str] = ()) -> np.ndarray:
         """Action (7,) for poses (6, 7) of hand, fingers, cabinet, drawer and mug; there is no goal."""
         if not assets:
             raise PwmGymError("the expert of MugCleanup was given no assets; it grasps the mug by its size")
-        return CleanUp(poses, get_mug(assets[_LAYOUT.index("mug")]), self.speed, self.by_body).act()
+        return CleanUp(poses, get_mug(assets[_LAYOUT.index("mug")]), self.speed, self.by_body, self.hooked).act()
 
 
 def _simulator() -> Simulator:

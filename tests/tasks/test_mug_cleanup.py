@@ -41,10 +41,11 @@ def test_the_experts_episode_opens_the_drawer_and_shuts_it(episode):
 
 
 @pytest.mark.parametrize(
-    ("by_body", "seed"), [(False, seed_range("validation", 1)[0]), (True, seed_range("plan_validation", 5)[4])]
+    ("by_body", "hooked", "seed"),
+    [(False, True, seed_range("validation", 1)[0]), (True, False, seed_range("plan_validation", 5)[4])],
 )
-def test_the_expert_succeeds_with_other_mugs_by_either_grip(mug_simulator, by_body, seed):
-    task = replace(TASK, expert=lambda rng: MugCleanupExpert(0.03, by_body))
+def test_the_expert_succeeds_with_other_mugs_by_either_grip_and_way_to_open(mug_simulator, by_body, hooked, seed):
+    task = replace(TASK, expert=lambda rng: MugCleanupExpert(0.03, by_body, hooked))
     assert 180 < steps_to_success(task, mug_simulator, seed) <= LIMIT
     mug = get_mug(mug_simulator.assets()[TASK.layout.index("mug")])
     assert fits_body(mug) == by_body  # the other mug is too wide for the open gripper
