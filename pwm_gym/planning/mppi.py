@@ -58,7 +58,7 @@ class MPPIConfig(SamplingConfig):
             fine,
             noise=noise,
             single_arm_share=0.4,
-            together_share=0.2,
+            together_share=0.3,
             single_channel_share=0.5,
             single_component_share=0.2,
         )

@@ -143,6 +143,24 @@ def share_mask(samples: int, share: float, step: int) -> Tensor:
     return torch.arange(samples, dtype=torch.float64) * _GOLDEN * step % 1.0 < share
 
 
+def together_mask(control: Control, together: Tensor) -> Tensor:
+    """Which components (S, A), bool, samples perturb in which all arms go the same way.
+
+    Their translations, in every other such sample along one axis alone, each in turn: hands that turned alike, each
+    about itself, would lose what they hold. All components of robots that have no translations.
+    """
+    axis_of = [-1] * control.size
+    for channel in control.of_kind("translation"):
+        axis_of[channel.slice] = range(channel.stop - channel.start)
+    axes, count = torch.tensor(axis_of), max(axis_of) + 1
+    if count == 0:
+        return together.unsqueeze(1).expand(-1, control.size)
+    turn = together.long().cumsum(0)  # how many of them there were
+    one, chosen = turn % 2 == 0, turn // 2 % count
+    moved = torch.where(one.unsqueeze(1), axes == chosen.unsqueeze(1), axes >= 0)
+    return moved & together.unsqueeze(1)
+
+
 def sample_mask(
     control: Control,
     sigma: Sequence[float],

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from pwm_gym.errors import PwmGymError
-from pwm_gym.planning.noise import ActionNoise, counterparts, sample_mask, share_mask
+from pwm_gym.planning.noise import ActionNoise, counterparts, sample_mask, share_mask, together_mask
 from pwm_gym.robots import Control
 
 __all__ = ["Objective", "Planner", "SamplingConfig", "SamplingPlanner"]
@@ -72,7 +72,8 @@ class SamplingConfig:
     single_arm_share: float = 0.5
     """Share of the samples that perturb one arm alone, each arm in turn, where a robot has several."""
     together_share: float = 0.0
-    """Share of the samples in which all arms move as the first one does: what several hands hold goes with them."""
+    """Share of the samples in which all arms go the same way, every other of them along one axis alone, and nothing
+    else is perturbed: what several hands hold goes with them."""
     single_component_share: float = 0.0
     """Share of the samples that perturb one component alone, each in turn: where a task asks for exact places, a good
     turn of the hand or a way straight down is lost among the bad motions that come with it."""
@@ -163,9 +164,10 @@ class SamplingPlanner(ABC, Generic[Config]):
             scale = 1.0 - place * (1.0 - least)
         c = self.config
         shares = c.single_arm_share, c.single_component_share, c.single_channel_share
-        moves = sample_mask(control, self._sigma.tolist(), samples, *shares).to(self._together.device)
-        moves = moves | self._together.unsqueeze(1)  # they move all arms, whatever the shares say
-        return (scale * moves.to(scale)).unsqueeze(1)
+        moves = sample_mask(control, self._sigma.tolist(), samples, *shares)
+        together = self._together.cpu()
+        moves = torch.where(together.unsqueeze(1), together_mask(control, together), moves)  # whatever the shares say
+        return (scale * moves.to(device=scale.device, dtype=scale.dtype)).unsqueeze(1)
 
     @property
     def horizon(self) -> int:

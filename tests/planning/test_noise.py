@@ -14,7 +14,7 @@ from pwm_gym.planning import (
     NoiseConfig,
     build_planner,
 )
-from pwm_gym.planning.noise import counterparts, power_law_noise
+from pwm_gym.planning.noise import counterparts, power_law_noise, together_mask
 from pwm_gym.robots import Arm, Channel, Control
 from pwm_gym.tasks import get_task
 
@@ -252,14 +252,24 @@ def test_fingers_of_a_hand_move_together_each_a_little_its_own_way():
         NoiseConfig(synergy=1.5)
 
 
-def test_some_samples_move_all_arms_alike():
+def test_in_some_samples_all_arms_go_the_same_way_and_nothing_else_moves():
     noise = ActionNoise.uniform(NoiseConfig(sigma=(0.3,), correlation=0.0, min_noise_scale=1.0))
     config = MPPIConfig(samples=200, stop_samples=0, noise=noise, single_arm_share=0.5, together_share=0.3)
     *samples, mean = seen_by(config, BOTH, last_action=torch.zeros(1, 24))
     moves = torch.stack(samples) - mean
     alike = (moves[..., :12] - moves[..., 12:]).abs().amax((-1, -2)) < 1e-6
     assert alike.float().mean() == pytest.approx(0.3, abs=0.02)
-    assert (moves[alike].abs().amax(1) > 0).all()  # no arm and no component is left out
+    moved = moves[alike].abs().amax(1)[:, :12] > 0
+    assert moved[:, :3].any(1).all() and not moved[:, 3:].any()
+    alone = moved[moved.sum(1) == 1][:, :3].sum(0)  # along one axis, each in turn
+    assert len(alone.unique()) <= 2 and alone.sum().item() == pytest.approx(0.5 * alike.sum().item(), abs=1)
+
+
+def test_arms_without_translations_move_alike_in_all_they_have():
+    arms = (Arm("a", "hand_a"), Arm("b", "hand_b"))
+    by_joints = Control(tuple(Channel("joint", 2 * k, 2 * k + 2, arm=arm.name) for k, arm in enumerate(arms)), arms)
+    together = torch.tensor([True, False])
+    assert together_mask(by_joints, together).tolist() == [[True] * 4, [False] * 4]
 
 
 def test_a_robot_of_one_arm_has_no_counterparts():
