@@ -131,6 +131,7 @@ def sequence(drawer: Drawer, name: str, inside: Term, opened: float, shut: float
             "open drawer",
             {**waiting, "hang": (3.0, _level(beside("left", drawer))), "opened": (-8.0, drawers.opened(drawer))},
             drawers.open_to(drawer, opened + _OPENED_FURTHER),
+            lasting=lambda p, i: still_open(p, i) | inside(p, i),
         ),
         Stage(
             "reach",

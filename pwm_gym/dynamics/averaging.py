@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import torch
+from torch import Tensor, nn
 
-from pwm_gym.dynamics.checkpoint import load_checkpoint, save_checkpoint
+from pwm_gym.dynamics.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from pwm_gym.errors import CheckpointError
 
 __all__ = ["average"]
@@ -37,21 +38,28 @@ def average(folders: Sequence[str | Path], out: str | Path, shares: Sequence[flo
     if len(share) != len(folders) or not bool((share > 0).all()):
         raise CheckpointError(f"shares={shares} of {len(folders)} checkpoints; expected as many positive numbers")
     loaded = [load_checkpoint(folder) for folder in folders]
-    *others, last = loaded
-    weights = last.model.state_dict()
-    for other in others:
-        given = {name: value.shape for name, value in other.model.state_dict().items()}
-        if other.kind != last.kind or given != {name: value.shape for name, value in weights.items()}:
+    last, model = loaded[-1], _module(loaded[-1])
+    parts = [_module(checkpoint).state_dict() for checkpoint in loaded]
+    for other, part in zip(loaded, parts, strict=True):
+        if other.kind != last.kind or _shapes(part) != _shapes(parts[-1]):
             raise CheckpointError(f"{other.folder} is of another kind or size than {last.folder}; expected the same")
-    parts = [checkpoint.model.state_dict() for checkpoint in loaded]
     share = share / share.sum()
     mean = {
         name: torch.stack([w * part[name] for w, part in zip(share, parts, strict=True)]).sum(0)
         if value.is_floating_point()
         else value
-        for name, value in weights.items()
+        for name, value in parts[-1].items()
     }
-    last.model.load_state_dict(mean)
+    model.load_state_dict(mean)
     averaged = {str(folder): w for folder, w in zip(folders, share.tolist(), strict=True)}
     training = {**last.description["training"], "averaged": averaged}
-    save_checkpoint(Path(out), last.model, last.kind, list(last.banks.values()), training, {})
+    save_checkpoint(Path(out), model, last.kind, list(last.banks.values()), training, {})
+
+
+def _module(checkpoint: Checkpoint) -> nn.Module:
+    assert isinstance(checkpoint.model, nn.Module)
+    return checkpoint.model
+
+
+def _shapes(weights: Mapping[str, Tensor]) -> dict[str, torch.Size]:
+    return {name: value.shape for name, value in weights.items()}

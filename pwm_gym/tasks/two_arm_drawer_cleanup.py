@@ -66,7 +66,7 @@ register_stages(
     hand_drawers.sequence(_DRAWER, "mug", _inside, DEEP_CABINET.opened, _SHUT, _STATIC),
     {
         "ground_contact": (1.0, hands.ground_contact),
-        "tilt": (4.0, hands.tilted),
+        "tilt": (8.0, hands.tilted),
         "bent": (2.0, hands.bent("left")),
         "bent_fingers": (2.0, hands.bent_fingers("right")),
     },
