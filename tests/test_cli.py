@@ -42,7 +42,7 @@ def test_every_command_explains_itself(command, capsys):
     help_text = capsys.readouterr().out
     assert f"usage: pwm-gym {command}" in help_text
     assert (
-        command in ("envs", "data", "view", "complete", "scenes", "publish", "assets")
+        command in ("envs", "data", "view", "complete", "scenes", "average", "publish", "assets")
         or "--task" in help_text
         or "COST" in help_text.upper()
     )

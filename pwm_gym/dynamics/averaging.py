@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import torch
@@ -18,7 +18,8 @@ def average(folders: Sequence[str | Path], out: str | Path, shares: Sequence[flo
     """Write a checkpoint whose weights are the mean of several, each trained on from another of them.
 
     What one training forgets of another's data, the mean often knows (Wortsman et al., "Model soups", 2022). Scenes,
-    description and what is not a floating-point number are those of the last.
+    description and what is not a floating-point number are those of the last; tasks and kinds of joints that any of
+    them has seen, the mean has seen.
 
     Args:
         folders: of the checkpoints.
@@ -35,7 +36,7 @@ def average(folders: Sequence[str | Path], out: str | Path, shares: Sequence[flo
     if len(folders) < 2:
         raise CheckpointError(f"{len(folders)} checkpoints to average; expected two at least")
     share = torch.ones(len(folders)) if shares is None else torch.as_tensor(list(shares), dtype=torch.float32)
-    if len(share) != len(folders) or not bool((share > 0).all()):
+    if len(share) != len(folders) or not bool(((share > 0) & share.isfinite()).all()):
         raise CheckpointError(f"shares={shares} of {len(folders)} checkpoints; expected as many positive numbers")
     loaded = [load_checkpoint(folder) for folder in folders]
     last, model = loaded[-1], _module(loaded[-1])
@@ -53,12 +54,18 @@ def average(folders: Sequence[str | Path], out: str | Path, shares: Sequence[flo
     model.load_state_dict(mean)
     averaged = {str(folder): w for folder, w in zip(folders, share.tolist(), strict=True)}
     training = {**last.description["training"], "averaged": averaged}
+    training["seen_tasks"] = _union(checkpoint.seen_tasks for checkpoint in loaded)
+    training["seen_joints"] = _union(checkpoint.seen_joints for checkpoint in loaded)
     save_checkpoint(Path(out), model, last.kind, list(last.banks.values()), training, {})
 
 
 def _module(checkpoint: Checkpoint) -> nn.Module:
     assert isinstance(checkpoint.model, nn.Module)
     return checkpoint.model
+
+
+def _union(parts: Iterable[Iterable[str]]) -> list[str]:
+    return list(dict.fromkeys(name for part in parts for name in part))
 
 
 def _shapes(weights: Mapping[str, Tensor]) -> dict[str, torch.Size]:
