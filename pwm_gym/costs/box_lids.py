@@ -258,16 +258,12 @@ def _open(lidded: LiddedBox) -> Term:
 
 
 def _off_squeeze(lidded: LiddedBox) -> Term:
-    """By how much (B,) both hands are told to go inward less or more than a grip needs, as a share of that, up to 2.
-
-    The same again of a hand that is told to draw back: it would lose the lid that the other one pushes.
-    """
+    """By how much (B,) both hands are told to go inward less or more than a grip needs, as a share of that, up to 2."""
 
     def term(points: Points, info: Info) -> Tensor:
         out = contacts.across(_front(points, lidded.lid)).squeeze(-1)
-        inward = torch.stack([-SIGN[side] * (hands.command(info, side) * out).sum(-1) for side in SIDES]) / SQUEEZE
-        back = (-inward.amin(0)).clamp_min(0.0)
-        return (inward.mean(0) - 1.0).abs().clamp_max(2.0) + back.clamp_max(2.0)
+        inward = [-SIGN[side] * (hands.command(info, side) * out).sum(-1) for side in SIDES]
+        return (torch.stack(inward).mean(0) / SQUEEZE - 1.0).abs().clamp_max(2.0)
 
     return term
 
