@@ -9,7 +9,7 @@ TASK ?= PickCube# of `make demo`
 # Files go to the processes in their order, whose last ones are short, so that both processes end together.
 PYTEST = $(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder
 
-.PHONY: demo test test-all coverage lint units docs install clean
+.PHONY: demo test test-all coverage lint docs install clean
 
 install: $(VENV)/.package
 
@@ -35,11 +35,7 @@ lint: $(VENV)/.package
 	$(BIN)/ruff format --check .
 	cd tests && $(BIN)/mypy --config-file ../pyproject.toml -p pwm_gym
 
-# Types are checked beside the tests, on what the two processes leave of the cores.
-test: $(VENV)/.package
-	$(MAKE) --no-print-directory -j 2 units lint
-
-units: $(VENV)/.package
+test: lint
 	$(PYTEST)
 
 test-all: lint

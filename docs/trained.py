@@ -124,5 +124,6 @@ pwm-gym train --data data-sets/TwoArmBoxCleanup data-sets/TwoArmBoxCleanup-jitte
     data-sets/TwoArmDrawerCleanup-jitter --init runs/hands4/checkpoint --out runs/hands5 --threads 1 \\
     --learning-rate 0.0015 --phases 5 200 48 15 350 32 30 150 16
 pwm-gym average runs/hands4/checkpoint runs/hands5/checkpoint --shares 1 2 --out runs/hands6
+pwm-gym evaluate --task TwoArmDrawerCleanup --checkpoint runs/hands6 --split validation  # as of each, and of the box
 ```
 """

@@ -167,12 +167,12 @@ def sequence(drawer: Drawer, name: str, inside: Term, opened: float, shut: float
 
 def _off(way: Place) -> Term:
     """Length (B,) of a way, sharper when near."""
+    return lambda points, info: _felt(way(points, info).norm(dim=-1), 3.0)
 
-    def term(points: Points, info: Info) -> Tensor:
-        distance = way(points, info).norm(dim=-1)
-        return 3.0 * distance + torch.tanh(distance / _UNIT)
 
-    return term
+def _felt(distance: Tensor, slope: float) -> Tensor:
+    """A distance (B,), metres, as a cost that is sharper when near, and ``slope`` a metre when far."""
+    return slope * distance + torch.tanh(distance / _UNIT)
 
 
 def _level(way: Place) -> Term:
@@ -184,8 +184,7 @@ def _from_above(way: Place) -> Term:
     """Length (B,) of a way that comes from above, sharper when near."""
 
     def term(points: Points, info: Info) -> Tensor:
-        distance = way_from_above(-way(points, info), _CLEARANCE, within=0.02)
-        return 5.0 * distance + torch.tanh(distance / _UNIT)
+        return _felt(way_from_above(-way(points, info), _CLEARANCE, within=0.02), 5.0)
 
     return term
 
@@ -195,8 +194,7 @@ def _over(way: Place) -> Term:
 
     def term(points: Points, info: Info) -> Tensor:
         whole = way(points, info)
-        distance = torch.cat([whole[..., :2], whole[..., 2:] + _HIGH], -1).norm(dim=-1)
-        return 5.0 * distance + torch.tanh(distance / _UNIT)
+        return _felt((whole + whole.new_tensor([0.0, 0.0, _HIGH])).norm(dim=-1), 5.0)
 
     return term
 
@@ -305,8 +303,7 @@ def _way_over(drawer: Drawer, name: str) -> Term:
     def term(points: Points, info: Info) -> Tensor:
         way = _to_place(points, info, drawer, name)
         lower = (_CARRIED + way[..., 2]).clamp_min(0.0)
-        distance = way[..., :2].norm(dim=-1) + 2.0 * lower
-        return 3.0 * distance + torch.tanh(distance / _UNIT)
+        return _felt(way[..., :2].norm(dim=-1) + 2.0 * lower, 3.0)
 
     return term
 

@@ -27,8 +27,8 @@ def average(folders: Sequence[str | Path], out: str | Path, shares: Sequence[flo
         shares: of each in the mean; None gives all the same. Only their ratios count.
 
     Raises:
-        CheckpointError: fewer than two, one that cannot be read, one of another kind or size than the last, or shares
-            of another number, or that are not positive.
+        CheckpointError: fewer than two, one that cannot be read, one of another kind or size than the last, shares of
+            another number, or that are not positive, or one of their folders for the mean.
 
     Example:
         >>> average(["runs/one/checkpoint", "runs/two/checkpoint"], "runs/mean")  # doctest: +SKIP
@@ -38,6 +38,8 @@ def average(folders: Sequence[str | Path], out: str | Path, shares: Sequence[flo
     share = torch.ones(len(folders)) if shares is None else torch.as_tensor(list(shares), dtype=torch.float32)
     if len(share) != len(folders) or not bool(((share > 0) & share.isfinite()).all()):
         raise CheckpointError(f"shares={shares} of {len(folders)} checkpoints; expected as many positive numbers")
+    if Path(out).resolve() in [Path(folder).resolve() for folder in folders]:
+        raise CheckpointError(f"out={str(out)!r} is one of the checkpoints to average; expected another folder")
     loaded = [load_checkpoint(folder) for folder in folders]
     last, model = loaded[-1], _module(loaded[-1])
     parts = [_module(checkpoint).state_dict() for checkpoint in loaded]

@@ -48,7 +48,7 @@ class MPPIConfig(SamplingConfig):
     @classmethod
     def hands(cls) -> MPPIConfig:
         """As :meth:`fine`, for several arms with hands that keep upright: fingers bend together, half of the samples
-        perturb one channel alone, and some move all arms alike.
+        perturb one channel alone, and in some all arms go the same way.
         """
         fine = cls.fine()
         turns = replace(fine.noise.rotation, sigma=(0.0, 0.0, 0.4))

@@ -61,7 +61,7 @@ class OpenDrawer:
         offset = self._tool[:3] - place
         beside = float(np.hypot(*offset[:2]))
         if beside < _HANGS and offset[2] < _LOW and self.opening < _PULLED:
-            return self._move(self._tool[:3] + 0.05 * self.front, gripper=-1.0, closing=self._side)
+            return self._move(self._tool[:3] + 0.05 * self.front, gripper=-1.0)
         if self.opening >= _OPEN:
             return None
         target = place + _OVER_BAR * _UP
@@ -69,20 +69,19 @@ class OpenDrawer:
             target = place
         elif offset[2] < _OVER_BAR - 0.03:  # rise before moving sideways
             target[:2] = self._tool[:2]
-        return self._move(target, gripper=-1.0, closing=self._side)
+        return self._move(target, gripper=-1.0)
 
     def _leave(self) -> np.ndarray:
         """Let the handle go, then rise straight."""
         if self.hooked:
-            return self._move(self._tool[:3] + 0.1 * _UP, gripper=-1.0, closing=self._side)
+            return self._move(self._tool[:3] + 0.1 * _UP, gripper=-1.0)
         wide = panda.gripper_command(_WIDE)
         if panda.opening(self.poses) < _RELEASED:
             return self._move(self._tool[:3], wide)
         return self._move(self._tool[:3] + 0.1 * _UP, wide)
 
-    def _move(self, target: np.ndarray, gripper: float, closing: np.ndarray | None = None) -> np.ndarray:
-        closing = self.front if closing is None else closing
-        return servo(panda.PANDA, self._tool, target, closing, self.speed, gripper)
+    def _move(self, target: np.ndarray, gripper: float) -> np.ndarray:
+        return servo(panda.PANDA, self._tool, target, self._closing, self.speed, gripper)
 
     # What the poses tell ------------------------------------------------------------------------------------------
 
@@ -100,9 +99,9 @@ class OpenDrawer:
         return self._turn.apply([1.0, 0.0, 0.0])
 
     @cached_property
-    def _side(self) -> np.ndarray:
-        """Direction (3,) along the handle's bar."""
-        return np.cross(_UP, self.front)
+    def _closing(self) -> np.ndarray:
+        """Direction (3,) along which the fingers close: across the handle's bar, or, where it is hooked, along it."""
+        return np.cross(_UP, self.front) if self.hooked else self.front
 
     @cached_property
     def bar(self) -> np.ndarray:

@@ -82,7 +82,7 @@ class MugCleanupExpert:
 
     speed: float
     by_body: bool
-    hooked: bool = False
+    hooked: bool
 
     @classmethod
     def sample(cls, rng: np.random.Generator) -> MugCleanupExpert:

@@ -53,6 +53,13 @@ def test_shares_that_are_none_are_refused(folders, tmp_path, shares):
         average(folders, tmp_path, shares)
 
 
+def test_no_checkpoint_is_overwritten_by_the_mean(folders):
+    before = (folders[1] / "model.safetensors").read_bytes()
+    with pytest.raises(CheckpointError, match="is one of the checkpoints to average; expected another folder"):
+        average(folders, folders[1])
+    assert (folders[1] / "model.safetensors").read_bytes() == before
+
+
 def test_other_sizes_are_refused(folders, tmp_path):
     with pytest.raises(CheckpointError, match=f"two-hands is of another kind or size than {folders[0]}"):
         average([resolve("two-hands", "TwoArmBoxCleanup"), folders[0]], tmp_path)

@@ -24,16 +24,6 @@ def checkpoint():
     return load_checkpoint(resolve("kitchen", TASK.name))
 
 
-def hooked(drawer: OpenDrawer, tool: np.ndarray) -> np.ndarray:
-    """Shut fingers over the handle's inner side, down behind it, and away with it."""
-    behind = drawer.bar - 0.022 * drawer.front
-    offset = tool[:3] - behind
-    target = behind + [0.0, 0.0, 0.08]
-    if np.linalg.norm(offset[:2]) < 0.012:
-        target = behind if offset[2] > 0.008 else behind + 0.05 * drawer.front
-    return servo(PANDA, tool, target, np.cross([0.0, 0.0, 1.0], drawer.front), SPEED, gripper=-1.0)
-
-
 @pytest.mark.parametrize("start", [None, 3, 300, 1000])
 def test_a_drawer_is_hooked_open_whatever_points_of_it_are_read(checkpoint, start):
     state = batch_state([checkpoint.bank(TASK.name).scene(0)])
@@ -44,9 +34,11 @@ def test_a_drawer_is_hooked_open_whatever_points_of_it_are_read(checkpoint, star
     with torch.no_grad():
         for _ in range(STEPS):
             poses = pose7_from_matrix(state.poses()[0]).numpy()
-            drawer = OpenDrawer(poses, poses[CABINET], poses[DRAWER], SPEED)
+            drawer = OpenDrawer(poses, poses[CABINET], poses[DRAWER], SPEED, hooked=True)
             openings.append(drawer.opening)
-            action = hooked(drawer, PANDA.tool(poses))
+            action = drawer.act()
+            if action is None:
+                break
             state = model.step(state, torch.as_tensor(action, dtype=torch.float32)[None])
     assert openings[0] < 0.002 and max(openings) > 0.12
 
@@ -58,10 +50,13 @@ def test_a_hand_comes_down_to_a_pod_in_a_drawer(checkpoint, scene):
     for phase, steps in (("open", STEPS), ("up", 12), ("over", 25), ("down", 20)):
         for _ in range(steps):
             poses = pose7_from_matrix(state.poses()[0]).numpy()
-            drawer, tool = OpenDrawer(poses, poses[CABINET], poses[DRAWER], SPEED), PANDA.tool(poses)
+            drawer = OpenDrawer(poses, poses[CABINET], poses[DRAWER], SPEED, hooked=True)
+            tool = PANDA.tool(poses)
             side = np.cross([0.0, 0.0, 1.0], drawer.front)
             if phase == "open":
-                action = hooked(drawer, tool)
+                action = drawer.act()
+                if action is None:
+                    break
             else:
                 target = tool[:3] + [0.0, 0.0, 0.05] if phase == "up" else poses[pod, :3].copy()
                 target[2] += 0.10 if phase == "over" else 0.0
