@@ -14,11 +14,11 @@ from pwm_gym.costs import contacts, hands
 from pwm_gym.costs.contacts import Points, along, once, squared
 from pwm_gym.costs.motion import speed
 from pwm_gym.costs.stages import Stage
-from pwm_gym.costs.terms import Info, Term, way_from_above
+from pwm_gym.costs.terms import Info, Place, Term, way_from_above
 from pwm_gym.robots.two_hands import FACE, SIDES, SIGN
 from pwm_gym.sim.lidded_box import BESIDE, GRIP_HEIGHT, LID_HALF, ON_BOX, PRESSED, SQUEEZE
 
-__all__ = ["LIDDED_BOX", "LiddedBox", "apart", "brought", "facing", "held", "reach", "released", "seated", "sequence"]
+__all__ = ["LIDDED_BOX", "LiddedBox", "apart", "brought", "heading", "held", "reach", "released", "seated", "sequence"]
 
 _OUTSIDE = 0.045  # gap from where hands go in
 _CLEARANCE = 0.11  # over where they hold it, from where hands that come from beside pass over the box
@@ -30,6 +30,7 @@ _UNIT = 0.03  # metres: a gap that is felt as near
 _CARRIED = (-0.020, 0.030)  # gaps of hands that carry a lid that is off the ground: a hand may lean, or bend a finger
 _ABOUT = 0.025  # along the side and in height, from where hands hold it, within which they may lift
 _SOFT = (-0.015, 0.008, 0.002)  # gaps of hands that press, from and to, and how softly
+_AHEAD = 0.05  # radians by which palms may be ahead of the lid that they turn
 _LEVER = 0.10  # metres: a turn as a distance
 
 
@@ -197,15 +198,19 @@ def sequence(lidded: LiddedBox, least: float, limit: float) -> list[Stage]:
     ]
 
 
-def facing(lidded: LiddedBox) -> Term:
-    """How far (B,) the palms are turned from the lid: 0 where both face it, 1 where one looks the other way."""
+def heading(lidded: LiddedBox, side: str) -> Place:
+    """Direction (B, 3) that a palm faces: the lid's side, a little ahead of the turn that brings the lid to the box."""
 
-    def term(points: Points, info: Info) -> Tensor:
-        inward = -contacts.across(_front(points, lidded.lid)).squeeze(-1)
-        turned = [1.0 - SIGN[side] * (hands.normal(points, side) * inward).sum(-1) for side in SIDES]
-        return 0.5 * torch.stack(turned).sum(0)
+    def way(points: Points, info: Info) -> Tensor:
+        front, wanted = (_front(points, name).squeeze(-1) for name in (lidded.lid, lidded.box))
+        sine = front[..., 0] * wanted[..., 1] - front[..., 1] * wanted[..., 0]
+        turn = sine.clamp(-_AHEAD, _AHEAD)
+        along_lid = torch.stack([-front[..., 1], front[..., 0]], -1)
+        ahead = front[..., :2] + turn.unsqueeze(-1) * along_lid  # small turns need no cosine
+        inward = -SIGN[side] * torch.stack([-ahead[..., 1], ahead[..., 0], torch.zeros_like(turn)], -1)
+        return torch.nn.functional.normalize(inward, dim=-1)
 
-    return term
+    return way
 
 
 def _approach(lidded: LiddedBox) -> Term:

@@ -17,20 +17,24 @@ from pwm_gym.costs.terms import Info, Place, Term, nearness, way_from_above
 from pwm_gym.robots.two_hands import AMID, FACE, HELD, SIGN
 from pwm_gym.sim.cabinets import DEEP_CABINET
 
-__all__ = ["DEEP_DRAWER", "beside", "facing", "held", "holds", "reach", "reach_handle", "sequence"]
+__all__ = ["DEEP_DRAWER", "beside", "heading", "held", "holds", "reach", "reach_handle", "sequence"]
 
 DEEP_DRAWER = Drawer.of(DEEP_CABINET)
 """Of TwoArmDrawerCleanup."""
 
 _GAP_MIDDLE = DEEP_CABINET.handle[0] - DEEP_CABINET.gap_middle  # behind the bar, where a hand hangs
 _BAR_OVER = 0.006  # of the tool over the bar there
-_HUNG = (0.022, 0.030, 0.035)  # along the way, across it, in height: the hand is behind the bar
+_HUNG = (0.022, 0.030, 0.015)  # along the way, across it, in height: the hand is behind the bar
+_AT_BAR = (0.045, 0.050, 0.035)  # the same of one that may have slipped, but is not off the handle yet
 _HIGH = 0.10  # of a hand over where it goes, while it turns or waits
 _OVER_BAR = (0.03, 0.06)  # beside where the hand hangs, at most, and over it, at least, of one that may come down
 _TURNED = 0.02  # share of a half turn, at most, by which a hand may be turned that comes down
 _OPENED_FURTHER = 0.01
 _CLEARANCE, _GRIP_HEIGHT = 0.08, 0.018
+# Beside its place, within which a hand comes down, and farther out, where its finger tips pass over what is there:
+_AMID = (0.008, 0.015)
 _ABOUT = (0.012, 0.02)  # beside and over its place, of a hand that may close
+_SLIPPED = 0.06  # from where the hand closes about an object, of one that it has lost
 _SWUNG = 0.076  # from the fingers' face to the thumb opposite to it
 _LIFTED, _CARRIED = 0.06, 0.10  # of an object's lowest point over the ground, and over the tray's floor
 _OVER_PLACE = 0.015
@@ -78,15 +82,20 @@ def reach_handle(side: str, drawer: Drawer) -> Term:
     return nearness(hands.tool_place(side), drawers.handle(drawer))
 
 
-def facing(side: str, drawer: Drawer, quarter: bool = False) -> Term:
-    """How far (B,) a palm is turned from the way in which a drawer opens, or from across it: 0 to 1."""
+def heading(side: str, drawer: Drawer) -> Place:
+    """Direction (B, 3) that a palm faces: the left one the way in which a drawer opens, the right one across it."""
 
-    def term(points: Points, info: Info) -> Tensor:
-        way = drawers.front(points, drawer)
-        wanted = SIGN[side] * contacts.across(way) if quarter else way
-        return 0.5 * (1.0 - (hands.normal(points, side) * wanted.squeeze(-1)).sum(-1))
+    def way(points: Points, info: Info) -> Tensor:
+        front = drawers.front(points, drawer)
+        return (front if side == "left" else SIGN[side] * contacts.across(front)).squeeze(-1)
 
-    return term
+    return way
+
+
+def _facing(side: str, drawer: Drawer) -> Term:
+    """How far (B,) a palm is turned from there: 0 to 1."""
+    wanted = heading(side, drawer)
+    return lambda points, info: 0.5 * (1.0 - (hands.normal(points, side) * wanted(points, info)).sum(-1))
 
 
 def beside(side: str, drawer: Drawer) -> Place:
@@ -117,36 +126,48 @@ def sequence(drawer: Drawer, name: str, inside: Term, opened: float, shut: float
         limit: rad/s of arms that rest.
     """
     is_held, is_shut = holds("right", name), drawers.shut_to(drawer, shut)
-    still_open = drawers.open_to(drawer, opened)
-    hang: dict[str, tuple[float, Term]] = {"hang": (3.0, _off(beside("left", drawer)))}
-    turned = {"left_turn": (6.0, facing("left", drawer)), "right_turn": (6.0, facing("right", drawer, quarter=True))}
-    waiting: dict[str, tuple[float, Term]] = {**turned, "wait": (0.5, _over(_way_to_grip(name)))}
-    gripping = {**turned, **hang, "closed": (3.0, _open_hand(name)), "off_grip": (4.0, _off_grip(name))}
-    swung = {"thumb": (2.0, _thumb_aside(name))}
+    still_open, is_open = drawers.open_to(drawer, opened), drawers.open_to(drawer, opened + _OPENED_FURTHER)
+    hooked = _hangs(drawer, _AT_BAR)
+
+    def over_place(points: Points, info: Info) -> Tensor:
+        carried = is_held(points, info) & still_open(points, info)
+        return carried & (_beside_place(points, info, drawer, name) <= _OVER_PLACE)
+
+    hang: dict[str, tuple[float, Term]] = {"hang": (5.0, _off(beside("left", drawer)))}
+    swung = {"thumb": (4.0, _thumb_off(-1.0))}
+    waiting: dict[str, tuple[float, Term]] = {**swung, "wait": (1.5, _over(_way_to_grip(name)))}
+    pressing = {"thumb": (2.0, _thumb_off(hands.PRESSING))}
+    gripping = {**hang, **pressing, "closed": (3.0, _open_hand(name)), "off_grip": (4.0, _off_grip(name))}
     disturbed = {"disturbance": (2.0, lambda p, i: (speed(i["velocity"], name) / 0.005).clamp_max(4.0))}
     return [
         Stage("turn", {**waiting, **disturbed, "over": (1.5, _over(beside("left", drawer)))}, _may_hang(drawer)),
-        Stage("hook", {**waiting, **disturbed, "approach": (1.5, _from_above(beside("left", drawer)))}, _hangs(drawer)),
+        Stage(
+            "hook",
+            {**waiting, **disturbed, "approach": (1.5, _from_above(beside("left", drawer)))},
+            _hangs(drawer),
+            lasting=lambda p, i: hooked(p, i) | is_shut(p, i) | (still_open(p, i) & ~inside(p, i)),
+        ),
         Stage(
             "open drawer",
             {**waiting, "hang": (3.0, _level(beside("left", drawer))), "opened": (-8.0, drawers.opened(drawer))},
-            drawers.open_to(drawer, opened + _OPENED_FURTHER),
+            lambda p, i: is_open(p, i) | inside(p, i),
             lasting=lambda p, i: still_open(p, i) | inside(p, i),
         ),
         Stage(
             "reach",
-            {**turned, **hang, **swung, **disturbed, "approach": (1.5, _from_above(_way_to_grip(name)))},
-            lambda p, i: _about(p, i, name) | is_held(p, i),
+            {**hang, **swung, **disturbed, "approach": (1.5, _from_above(_way_to_grip(name)))},
+            lambda p, i: _about(p, i, name) | is_held(p, i) | inside(p, i),
+            lasting=lambda p, i: _at_hand(p, i, name) | inside(p, i),
         ),
         Stage(
             "take",
             {**gripping, "lift": (-5.0, _lift(name))},
-            lambda p, i: is_held(p, i) & (p[name][..., 2].amin(-1) >= _LIFTED),
+            lambda p, i: (is_held(p, i) & (p[name][..., 2].amin(-1) >= _LIFTED)) | inside(p, i),
         ),
         Stage(
             "carry",
             {**gripping, "way": (4.0, _way_over(drawer, name))},
-            lambda p, i: is_held(p, i) & still_open(p, i) & (_beside_place(p, i, drawer, name) <= _OVER_PLACE),
+            lambda p, i: over_place(p, i) | inside(p, i),
         ),
         Stage("lower", {**gripping, "way": (4.0, _way_down(drawer, name))}, inside),
         Stage(
@@ -157,7 +178,7 @@ def sequence(drawer: Drawer, name: str, inside: Term, opened: float, shut: float
         ),
         Stage(
             "close drawer",
-            {**turned, "hang": (3.0, _level(beside("left", drawer))), "opened": (8.0, drawers.opened(drawer))},
+            {"hang": (3.0, _level(beside("left", drawer))), "opened": (8.0, drawers.opened(drawer))},
             is_shut,
             lasting=is_shut,
         ),
@@ -184,7 +205,7 @@ def _from_above(way: Place) -> Term:
     """Length (B,) of a way that comes from above, sharper when near."""
 
     def term(points: Points, info: Info) -> Tensor:
-        return _felt(way_from_above(-way(points, info), _CLEARANCE, within=0.02), 5.0)
+        return _felt(way_from_above(-way(points, info), _CLEARANCE, *_AMID), 5.0)
 
     return term
 
@@ -206,18 +227,18 @@ def _may_hang(drawer: Drawer) -> Term:
     def term(points: Points, info: Info) -> Tensor:
         offset = way(points, info)
         over = (offset[..., :2].norm(dim=-1) <= _OVER_BAR[0]) & (-offset[..., 2] >= _OVER_BAR[1])
-        return (over & (facing("left", drawer)(points, info) <= _TURNED)) | hangs(points, info)
+        return (over & (_facing("left", drawer)(points, info) <= _TURNED)) | hangs(points, info)
 
     return term
 
 
-def _hangs(drawer: Drawer) -> Term:
-    """Bool (B,): the left hand is behind the bar."""
+def _hangs(drawer: Drawer, within: tuple[float, float, float] = _HUNG) -> Term:
+    """Bool (B,): the left hand is behind the bar, or as near to there as ``within``, metres, says."""
     way = beside("left", drawer)
 
     def term(points: Points, info: Info) -> Tensor:
         offset = way(points, info).abs()
-        return (offset <= offset.new_tensor(_HUNG)).all(-1) & (facing("left", drawer)(points, info) <= _TURNED)
+        return (offset <= offset.new_tensor(within)).all(-1) & (_facing("left", drawer)(points, info) <= _TURNED)
 
     return term
 
@@ -242,6 +263,11 @@ def _about(points: Points, info: Info, name: str) -> Tensor:
     return amid & (fingers >= -0.002) & (thumb >= -0.002)
 
 
+def _at_hand(points: Points, info: Info, name: str) -> Tensor:
+    """Bool (B,): the object has not slipped from the right hand."""
+    return _way_to_grip(name)(points, info).norm(dim=-1) <= _SLIPPED
+
+
 def _open_hand(name: str) -> Term:
     """Gaps (B,) of the right hand to an object, in units of 3 cm."""
 
@@ -263,14 +289,14 @@ def _off_grip(name: str) -> Term:
     return term
 
 
-def _thumb_aside(name: str) -> Term:
-    """How far (B,) the right thumb is told to be from opposite to the fingers, and from straight."""
+def _thumb_off(flexed: float) -> Term:
+    """How far (B,) the right thumb is told to be from opposite to the fingers, and from ``flexed``, a target."""
     channel = hands.channel_of("right", "finger")
     swing, flex = channel.start, channel.start + 1
 
     def term(points: Points, info: Info) -> Tensor:
         action = info["action"]
-        return (action[..., swing] - hands.OPPOSITE).abs() + 0.5 * (action[..., flex] + 1.0)
+        return (action[..., swing] - hands.OPPOSITE).abs() + 0.5 * (action[..., flex] - flexed).abs()
 
     return term
 

@@ -5,7 +5,7 @@ The robot is ``two_hands``: a hand's axes are told by the centres of its palm an
 
 from __future__ import annotations
 
-from math import atan2, cos, pi, sin
+from math import atan2, cos, sin
 
 import torch
 from torch import Tensor
@@ -14,10 +14,11 @@ from pwm_gym.costs import contacts
 from pwm_gym.costs.contacts import Points, once
 from pwm_gym.costs.terms import Info, Place, Term
 from pwm_gym.robots.control import Channel, ChannelKind
-from pwm_gym.robots.two_hands import FINGERS, SIDES, SIGN, TOOL, TWO_HANDS, boxes, finger_targets
+from pwm_gym.robots.two_hands import FINGERS, HOLDING, SIDES, SIGN, TOOL, TWO_HANDS, boxes
 
 __all__ = [
     "OPPOSITE",
+    "PRESSING",
     "across",
     "arm_speed",
     "axes",
@@ -35,8 +36,8 @@ __all__ = [
     "tool_place",
 ]
 
-OPPOSITE = float(finger_targets((0.5 * pi, 0.0), 0.0)[0])
-"""Target of a thumb's first joint that swings it opposite to the fingers."""
+OPPOSITE, PRESSING = HOLDING[:2]
+"""Targets of a thumb's joints: the first swings it opposite to the fingers, the second presses on what they hold."""
 
 _PALM = boxes("left_palm")[0][1]  # centre of the palm in its own frame
 _LEAN = atan2(TOOL[0] - _PALM[0], TOOL[2] - _PALM[2])  # of the way from the palm's centre to the tool, from z

@@ -15,6 +15,7 @@ from pwm_gym.dynamics.model import WorldModel
 from pwm_gym.dynamics.protocols import MeetsScenes
 from pwm_gym.errors import PwmGymError, SceneError
 from pwm_gym.planning.objective import RolloutObjective
+from pwm_gym.planning.posture import PosedModel, Posture
 from pwm_gym.planning.registry import build_planner, get_planner_config
 from pwm_gym.planning.sampling import Planner, SamplingConfig
 from pwm_gym.scene import Scene, State, batch_state
@@ -55,7 +56,9 @@ class Agent:
         config = config or get_planner_config(self.task.planner)
         self.planner: Planner = build_planner(config, self.task.control, device)
         self.cost = get_cost(self.task.plan_cost if cost is None else cost).plus(penalties or {})
-        self.objective = RolloutObjective(model, self.cost, get_grasp(self.task.grasp), caution=caution)
+        self._posture = Posture(self.task.control, self.task.headings) if config.posture else None
+        self._planned_in = model if self._posture is None else PosedModel(model, self._posture)
+        self.objective = RolloutObjective(self._planned_in, self.cost, get_grasp(self.task.grasp), caution=caution)
         self._generator = torch.Generator(device).manual_seed(seed)
         self._state: State | None = None
         self._seen_stage: Tensor | None = None  # (B,) of a staged cost, where it last looked
@@ -133,11 +136,29 @@ class Agent:
         """
         if scene is not None:
             self.look(scene)
+        return self._told(self._posed(self._planned()))
+
+    def _planned(self) -> Tensor:
+        """The planner's action sequences (B, H, A) from the present state."""
         objective = self.objective.begin(self._present(), self._goal, self._present_stage())
         proposal = self._follow(self.guide) if self.guide is not None else None
-        planned = self.planner.plan(objective, self._generator, len(self._goal), self._action, proposal)
-        plans = planned.cpu().numpy()
-        return plans[0].copy() if self._one else plans.copy()  # the planner keeps its own
+        return self.planner.plan(objective, self._generator, len(self._goal), self._action, proposal)
+
+    @torch.no_grad()
+    def _posed(self, plans: Tensor) -> Tensor:
+        """Action sequences (B, H, A) with the turns that keep the hands' posture."""
+        if self._posture is None:
+            return plans
+        state, kept = self._present(), []
+        for k, action in enumerate(plans.unbind(1)):
+            state = state if k == 0 else self.model.step(state, kept[-1])
+            kept.append(self._posture(state, action))
+        return torch.stack(kept, 1)
+
+    def _told(self, actions: Tensor) -> np.ndarray:
+        """Actions (B, ...) of all scenes, or those (...) of the one that it looked at."""
+        told = actions.cpu().numpy()
+        return told[0].copy() if self._one else told.copy()  # the planner keeps its own
 
     @torch.no_grad()
     def _follow(self, guide: Callable[[State, Tensor], Tensor]) -> Tensor:
@@ -145,12 +166,14 @@ class Agent:
         state, actions = self._present(), []
         for _ in range(self.planner.horizon):
             actions.append(guide(state, self._goal).to(self.device))
-            state = self.model.step(state, actions[-1])
+            state = self._planned_in.step(state, actions[-1])
         return torch.stack(actions, 1)
 
     def act(self, scene: Scene | Sequence[Scene] | None = None) -> np.ndarray:
         """First action (A,) of :meth:`plan`, or first actions (B, A)."""
-        return self.plan(scene)[..., 0, :]
+        if scene is not None:
+            self.look(scene)
+        return self._told(self._posed(self._planned()[:, :1])[:, 0])
 
     @torch.no_grad()
     def advance(self, action: np.ndarray) -> State:

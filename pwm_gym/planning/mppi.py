@@ -47,21 +47,26 @@ class MPPIConfig(SamplingConfig):
 
     @classmethod
     def hands(cls) -> MPPIConfig:
-        """As :meth:`fine`, for several arms with hands that keep upright: fingers bend together, half of the samples
-        perturb one channel alone, and in some all arms go the same way.
+        """As :meth:`fine`, for several arms with hands: these keep their posture by themselves, fingers bend together, and
+        half of the samples perturb one channel alone.
         """
         fine = cls.fine()
-        turns = replace(fine.noise.rotation, sigma=(0.0, 0.0, 0.4))
+        turns = replace(fine.noise.rotation, sigma=(0.0,))
         fingers = replace(fine.noise.finger, sigma=(0.5,), correlation=0.97, min_noise_scale=0.03, synergy=0.8)
         noise = replace(fine.noise, rotation=turns, finger=fingers)
         return replace(
             fine,
             noise=noise,
             single_arm_share=0.4,
-            together_share=0.3,
             single_channel_share=0.5,
             single_component_share=0.2,
+            posture=True,
         )
+
+    @classmethod
+    def pair(cls) -> MPPIConfig:
+        """As :meth:`hands`, for hands that hold one thing together: in some of the samples they go the same way."""
+        return replace(cls.hands(), together_share=0.3)
 
     @classmethod
     def paper(cls, horizon: int = 10) -> MPPIConfig:

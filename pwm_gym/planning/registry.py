@@ -15,6 +15,7 @@ PLANNERS: dict[str, SamplingConfig] = {
     "mppi": MPPIConfig(),
     "mppi-fine": MPPIConfig.fine(),
     "mppi-hands": MPPIConfig.hands(),
+    "mppi-pair": MPPIConfig.pair(),
     "mppi-paper": MPPIConfig.paper(),
     "cem": CEMConfig(),
     "icem": CEMConfig.icem(),

@@ -85,6 +85,9 @@ class SamplingConfig:
     as search wide; the finest are then not those that the stop samples replace."""
     iterations: int = 1
     """Rounds of sampling around the improved mean."""
+    posture: bool = False
+    """Whether hands keep their posture by themselves (:class:`pwm_gym.planning.posture.Posture`): upright, and turned to
+    the task's headings. How they turn is then no part of a plan."""
 
     def __post_init__(self) -> None:
         """Check each value."""

@@ -27,6 +27,7 @@ __all__ = [
     "FACE",
     "FINGERS",
     "HELD",
+    "HOLDING",
     "JOINT_NAMES",
     "REST",
     "SIDES",
@@ -182,6 +183,11 @@ def finger_targets(thumb: tuple[float, float], bend: float) -> np.ndarray:
     angles = np.array([*thumb, *[bend] * len(FINGERS)])
     upper = np.array([_SWING, _FLEX, *[_BEND] * len(FINGERS)])
     return np.clip(2.0 * angles / upper - 1.0, -1.0, 1.0)
+
+
+HOLDING = tuple(float(target) for target in finger_targets((0.5 * np.pi, 0.30), 0.0))
+"""Targets (6,) of a hand that holds something between its thumb and straight fingers: a thumb that presses harder tips
+it over."""
 
 
 def action(moves: Mapping[str, tuple[np.ndarray, np.ndarray, np.ndarray]]) -> np.ndarray:

@@ -22,7 +22,7 @@ __all__ = ["FillDrawer"]
 
 _UP = np.array([0.0, 0.0, 1.0])
 _WIDE = two_hands.finger_targets((0.5 * np.pi, 0.0), 0.0)
-_CLOSED = two_hands.finger_targets((0.5 * np.pi, 0.30), 0.0)
+_CLOSED = np.array(two_hands.HOLDING)
 _BAR_OVER = 0.006  # of the tool over the bar's middle, when the hand hangs behind it
 _IN_GAP = DEEP_CABINET.gap_middle  # x of the tool there, in the drawer's frame
 _OVER_BAR = 0.10  # of the tool over that height, on its way there

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
 
+from pwm_gym.costs.registry import Function
 from pwm_gym.errors import PwmGymError, look_up, unknown_name
 from pwm_gym.robots import Control, Robot
 from pwm_gym.scene import Layout
@@ -52,6 +53,9 @@ class Task:
     """Registered grasp rule."""
     planner: str = "mppi"
     """Registered planner that plans it by default."""
+    headings: Mapping[str, Function] = field(default_factory=dict)
+    """Arm -> horizontal direction ``(points, info) -> (B, 3)`` that the x axis of its hand shall have, for planners whose
+    hands keep their posture (:class:`pwm_gym.planning.posture.Posture`)."""
     goal_size: int = 0
     """G; 0 where the task has no goal beside its objects."""
     expert_steps: int = 66

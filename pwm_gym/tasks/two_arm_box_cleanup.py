@@ -59,7 +59,6 @@ register_stages(
     {
         "ground_contact": (1.0, hands.ground_contact),
         "tilt": (8.0, hands.tilted),
-        "facing": (3.0, box_lids.facing(_LID)),
         "bent": (8.0, hands.bent(*SIDES)),
     },
 )
@@ -98,7 +97,8 @@ TWO_ARM_BOX_CLEANUP = register_task(
         expert_steps=185,
         cost="two_arm_box_cleanup",
         plan_cost="two_arm_box_cleanup_plan",
-        planner="mppi-hands",
+        planner="mppi-pair",
+        headings={side: box_lids.heading(_LID, side) for side in SIDES},
         success="two_arm_box_cleanup",
         grasp="two_arm_box_cleanup",
         max_episode_steps=280,

@@ -20,7 +20,7 @@ from pwm_gym.costs import (
     shaped,
     terms,
 )
-from pwm_gym.robots.two_hands import TWO_HANDS, layout
+from pwm_gym.robots.two_hands import SIDES, TWO_HANDS, layout
 from pwm_gym.scene import FIXED
 from pwm_gym.sim import Simulator
 from pwm_gym.sim.cabinets import DEEP_CABINET
@@ -109,6 +109,7 @@ TWO_ARM_DRAWER_CLEANUP = register_task(
         cost="two_arm_drawer_cleanup",
         plan_cost="two_arm_drawer_cleanup_plan",
         planner="mppi-hands",
+        headings={side: hand_drawers.heading(side, _DRAWER) for side in SIDES},
         success="two_arm_drawer_cleanup",
         grasp="two_arm_drawer_cleanup",
         max_episode_steps=375,
