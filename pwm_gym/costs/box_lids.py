@@ -179,7 +179,12 @@ def sequence(lidded: LiddedBox, least: float, limit: float) -> list[Stage]:
         "held": (-2.0, _firmness(lidded)),
         "squeeze": (2.0, _off_squeeze(lidded)),
     }
-    carrying = {**pressing, "turn": (4.0, lambda p, i: _turned(p, lidded)), "way": (20.0, _way_onto(lidded))}
+    carrying = {
+        **pressing,
+        "grip": (1.5, _off_grip(lidded)),
+        "turn": (4.0, lambda p, i: _turned(p, lidded)),
+        "way": (20.0, _way_onto(lidded)),
+    }
     return [
         Stage(
             "surround",

@@ -14,7 +14,7 @@ from pwm_gym.costs.drawers import Drawer
 from pwm_gym.costs.motion import speed
 from pwm_gym.costs.stages import Stage
 from pwm_gym.costs.terms import Info, Place, Term, nearness, way_from_above
-from pwm_gym.robots.two_hands import AMID, FACE, HELD, SIGN
+from pwm_gym.robots.two_hands import AMID, FACE, HELD, HOLDING, SIGN
 from pwm_gym.sim.cabinets import DEEP_CABINET
 
 __all__ = ["DEEP_DRAWER", "beside", "heading", "held", "holds", "reach", "reach_handle", "sequence"]
@@ -29,14 +29,14 @@ _AT_BAR = (0.045, 0.050, 0.035)  # the same of one that may have slipped, but is
 _HIGH = 0.10  # of a hand over where it goes, while it turns or waits
 _OVER_BAR = (0.03, 0.06)  # beside where the hand hangs, at most, and over it, at least, of one that may come down
 _TURNED = 0.02  # share of a half turn, at most, by which a hand may be turned that comes down
-_OPENED_FURTHER = 0.01
+_OPENED_FURTHER = 0.025
 _CLEARANCE, _GRIP_HEIGHT = 0.08, 0.018
 # Beside its place, within which a hand comes down, and farther out, where its finger tips pass over what is there:
 _AMID = (0.008, 0.015)
 _ABOUT = (0.012, 0.02)  # beside and over its place, of a hand that may close
 _SLIPPED = 0.06  # from where the hand closes about an object, of one that it has lost
 _SWUNG = 0.076  # from the fingers' face to the thumb opposite to it
-_LIFTED, _CARRIED = 0.06, 0.10  # of an object's lowest point over the ground, and over the tray's floor
+_LIFTED, _CARRIED = 0.06, 0.13  # of an object's lowest point over the ground, and over the tray's floor
 _OVER_PLACE = 0.015
 _LEFT = 0.10  # of the tool over the middle of an object that it has left
 _UNIT = 0.03
@@ -134,16 +134,16 @@ def sequence(drawer: Drawer, name: str, inside: Term, opened: float, shut: float
         return carried & (_beside_place(points, info, drawer, name) <= _OVER_PLACE)
 
     hang: dict[str, tuple[float, Term]] = {"hang": (5.0, _off(beside("left", drawer)))}
-    swung = {"thumb": (4.0, _thumb_off(-1.0))}
+    swung = {"thumb": (4.0, hands.bent_thumb("right"))}
     waiting: dict[str, tuple[float, Term]] = {**swung, "wait": (1.5, _over(_way_to_grip(name)))}
-    pressing = {"thumb": (2.0, _thumb_off(hands.PRESSING))}
+    pressing = {"thumb": (2.0, _off_press)}
     gripping = {**hang, **pressing, "closed": (3.0, _open_hand(name)), "off_grip": (4.0, _off_grip(name))}
     disturbed = {"disturbance": (2.0, lambda p, i: (speed(i["velocity"], name) / 0.005).clamp_max(4.0))}
     return [
-        Stage("turn", {**waiting, **disturbed, "over": (1.5, _over(beside("left", drawer)))}, _may_hang(drawer)),
+        Stage("turn", {**waiting, **disturbed, "over": (2.0, _over(beside("left", drawer)))}, _may_hang(drawer)),
         Stage(
             "hook",
-            {**waiting, **disturbed, "approach": (1.5, _from_above(beside("left", drawer)))},
+            {**waiting, **disturbed, "approach": (2.0, _from_above(beside("left", drawer)))},
             _hangs(drawer),
             lasting=lambda p, i: hooked(p, i) | is_shut(p, i) | (still_open(p, i) & ~inside(p, i)),
         ),
@@ -155,7 +155,7 @@ def sequence(drawer: Drawer, name: str, inside: Term, opened: float, shut: float
         ),
         Stage(
             "reach",
-            {**hang, **swung, **disturbed, "approach": (1.5, _from_above(_way_to_grip(name)))},
+            {**hang, **swung, **disturbed, "approach": (2.0, _from_above(_way_to_grip(name)))},
             lambda p, i: _about(p, i, name) | is_held(p, i) | inside(p, i),
             lasting=lambda p, i: _at_hand(p, i, name) | inside(p, i),
         ),
@@ -289,16 +289,10 @@ def _off_grip(name: str) -> Term:
     return term
 
 
-def _thumb_off(flexed: float) -> Term:
-    """How far (B,) the right thumb is told to be from opposite to the fingers, and from ``flexed``, a target."""
-    channel = hands.channel_of("right", "finger")
-    swing, flex = channel.start, channel.start + 1
-
-    def term(points: Points, info: Info) -> Tensor:
-        action = info["action"]
-        return (action[..., swing] - hands.OPPOSITE).abs() + 0.5 * (action[..., flex] - flexed).abs()
-
-    return term
+def _off_press(points: Points, info: Info) -> Tensor:
+    """How far (B,) the right thumb is told to bend more or less than holds an object."""
+    held = 0.5 * (HOLDING[1] + 1.0)
+    return (hands.bent_thumb("right")(points, info) - held).abs()
 
 
 @once

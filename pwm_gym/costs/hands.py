@@ -14,16 +14,12 @@ from pwm_gym.costs import contacts
 from pwm_gym.costs.contacts import Points, once
 from pwm_gym.costs.terms import Info, Place, Term
 from pwm_gym.robots.control import Channel, ChannelKind
-from pwm_gym.robots.two_hands import FINGERS, HOLDING, SIDES, SIGN, TOOL, TWO_HANDS, boxes
+from pwm_gym.robots.two_hands import FINGERS, SIDES, SIGN, TOOL, TWO_HANDS, boxes
 
 __all__ = [
-    "OPPOSITE",
-    "PRESSING",
     "across",
     "arm_speed",
     "axes",
-    "bent",
-    "bent_fingers",
     "bent_thumb",
     "channel_of",
     "command",
@@ -36,12 +32,9 @@ __all__ = [
     "tool_place",
 ]
 
-OPPOSITE, PRESSING = HOLDING[:2]
-"""Targets of a thumb's joints: the first swings it opposite to the fingers, the second presses on what they hold."""
 
 _PALM = boxes("left_palm")[0][1]  # centre of the palm in its own frame
 _LEAN = atan2(TOOL[0] - _PALM[0], TOOL[2] - _PALM[2])  # of the way from the palm's centre to the tool, from z
-_THUMB_JOINTS = 2  # come first among a hand's targets
 _LOWEST = 0.004  # metres over the ground, under which a hand presses on it
 _REACH = 0.5  # metres: speed of a hand over that of the arm's joints, where they are not known
 _UPRIGHT = 0.035  # sine of 2 degrees
@@ -86,16 +79,6 @@ def tilted(points: Points, info: Info) -> Tensor:
     return (torch.stack(tilts) - _UPRIGHT).clamp_min(0.0).sum(0)
 
 
-def _targets(sides: tuple[str, ...], first: int) -> list[int]:
-    """Components of an action that are finger targets of ``sides``, from the ``first`` of each hand on."""
-    channels = [channel_of(side, "finger") for side in sides]
-    return [k for channel in channels for k in range(channel.start + first, channel.stop)]
-
-
-def _mean_bend(places: list[int]) -> Term:
-    return lambda points, info: 0.5 * (info["action"][..., places] + 1.0).mean(-1)
-
-
 def channel_of(side: str, kind: ChannelKind) -> Channel:
     """What one hand's actions of a kind are."""
     channel = TWO_HANDS.control.channel(side, kind)
@@ -107,16 +90,6 @@ def command(info: Info, side: str) -> Tensor:
     """Way (B, 3) that one hand is told to go in a step, metres."""
     channel = channel_of(side, "translation")
     return channel.unit * info["action"][..., channel.slice]
-
-
-def bent(*sides: str) -> Term:
-    """How far hands are told to bend, 0 straight to 1: mean over the finger targets of ``sides``."""
-    return _mean_bend(_targets(sides, 0))
-
-
-def bent_fingers(*sides: str) -> Term:
-    """The same without the thumbs."""
-    return _mean_bend(_targets(sides, _THUMB_JOINTS))
 
 
 def bent_thumb(side: str) -> Term:

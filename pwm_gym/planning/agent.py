@@ -54,9 +54,10 @@ class Agent:
     ) -> None:
         self.task, self.device, self.model, self.guide = get_task(task), device, model, guide
         config = config or get_planner_config(self.task.planner)
-        self.planner: Planner = build_planner(config, self.task.control, device)
         self.cost = get_cost(self.task.plan_cost if cost is None else cost).plus(penalties or {})
-        self._posture = Posture(self.task.control, self.task.headings) if config.posture else None
+        self._posture = Posture(self.task.control, self.task.postures) if config.posture else None
+        fixed = () if self._posture is None else self._posture.fixed
+        self.planner: Planner = build_planner(config, self.task.control, device, fixed)
         self._planned_in = model if self._posture is None else PosedModel(model, self._posture)
         self.objective = RolloutObjective(self._planned_in, self.cost, get_grasp(self.task.grasp), caution=caution)
         self._generator = torch.Generator(device).manual_seed(seed)

@@ -1,4 +1,4 @@
-"""Hands that keep their posture by themselves, so that a plan need not: upright, and turned the way the task tells.
+"""Hands that keep their posture by themselves, so that a plan need not: upright, turned and shaped as the task tells.
 
 A hand that holds a thing together with another one, or hangs on a handle, leans a little more with every step that
 nobody corrects. Sampled actions hardly ever find the correction among all others; feedback needs no search.
@@ -12,11 +12,11 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from pwm_gym.costs.registry import Function
 from pwm_gym.dynamics.model import WorldModel
 from pwm_gym.errors import PwmGymError
 from pwm_gym.robots import ArmKinematics, Control
 from pwm_gym.scene import EntityPoints, State
+from pwm_gym.tasks import HandPosture
 
 __all__ = ["PosedModel", "Posture"]
 
@@ -34,27 +34,33 @@ class _Hand:
     """Radians per unit there."""
     up: Tensor
     """Axis (3,) in its frame that points up at its arm's rest."""
-    heading: Function | None
-    """Horizontal direction (B, 3) that its x axis shall have."""
+    posture: HandPosture
+    shaped: tuple[tuple[int, float], ...]
+    """Components of an action that are finger targets which the posture decides, and these."""
+
+    @property
+    def fixed(self) -> tuple[int, ...]:
+        """Components of an action that the posture decides."""
+        end = self.rotation.stop - (self.posture.heading is None)
+        return (*range(self.rotation.start, end), *(component for component, _ in self.shaped))
 
 
 class Posture:
-    """Replaces what an action tells a hand to turn by what keeps its posture.
+    """Replaces the components of an action that a hand's posture decides.
 
-    A hand hangs as it does at its arm's rest, turned about the vertical: to its heading, or, where the task tells none,
-    as the action says.
+    A hand hangs as it does at its arm's rest, turned about the vertical: to its heading, or, where it has none, as the
+    action says. Fingers whose shape is told go there, others as the action says.
 
     Args:
         control: meaning of an action's components.
-        headings: arm -> function ``(points, info) -> (B, 3)``, the horizontal direction that the x axis of its hand
-            shall have.
+        postures: arm -> what is told of its hand.
 
     Raises:
-        PwmGymError: no arm whose rest is known turns its hand, or a heading of another arm.
+        PwmGymError: no arm whose rest is known turns its hand, a posture of another arm, or one of other fingers.
     """
 
-    def __init__(self, control: Control, headings: Mapping[str, Function] | None = None) -> None:
-        ways = dict(headings or {})
+    def __init__(self, control: Control, postures: Mapping[str, HandPosture] | None = None) -> None:
+        told = dict(postures or {})
         self._hands: list[_Hand] = []
         for arm in control.arms:
             channel = control.channel(arm.name, "rotation")
@@ -62,12 +68,19 @@ class Posture:
                 continue
             kinematics = ArmKinematics(arm.chain)
             up = kinematics(kinematics.rest.unsqueeze(0))[0, 2, :3]
-            self._hands.append(_Hand(arm.hand, channel.slice, channel.unit, up, ways.pop(arm.name, None)))
-        if not self._hands or ways:
-            wanted = ", ".join(ways) or ", ".join(control.arm_names) or "no arm"
+            posture = told.pop(arm.name, HandPosture())
+            shaped = _shaped(control, arm.name, posture.fingers)
+            self._hands.append(_Hand(arm.hand, channel.slice, channel.unit, up, posture, shaped))
+        if not self._hands or told:
+            wanted = ", ".join(told) or ", ".join(control.arm_names) or "no arm"
             raise PwmGymError(
                 f"posture of {wanted}: none is known to turn its hand; expected an arm with a chain and a rotation"
             )
+
+    @property
+    def fixed(self) -> tuple[int, ...]:
+        """Components of an action that it replaces."""
+        return tuple(component for hand in self._hands for component in hand.fixed)
 
     def __call__(self, state: State, action: Tensor) -> Tensor:
         """Actions (B, A) that keep the posture, for actions (B, A) in states (B,)."""
@@ -76,10 +89,21 @@ class Posture:
             rotation = poses[:, state.layout.index(hand.entity), :3, :3]
             turn = _righting(rotation @ hand.up.to(poses))
             action[:, hand.rotation.start : hand.rotation.start + 2] = _command(turn, hand.unit)
-            if hand.heading is not None:
-                turn = _yaw_between(rotation[..., 0], hand.heading(points, {"action": action}))
+            if hand.posture.heading is not None:
+                turn = _yaw_between(rotation[..., 0], hand.posture.heading(points, {"action": action}))
                 action[:, hand.rotation.stop - 1] = _command(turn, hand.unit)
+            for component, target in hand.shaped:
+                action[:, component] = target
         return action
+
+
+def _shaped(control: Control, arm: str, fingers: tuple[float | None, ...]) -> tuple[tuple[int, float], ...]:
+    """Components that are finger targets which a posture decides, and these."""
+    channel = control.channel(arm, "finger")
+    places = range(channel.start, channel.stop) if channel else range(0)
+    if fingers and len(fingers) != len(places):
+        raise PwmGymError(f"posture of {arm} has {len(fingers)} finger targets; expected {len(places)}")
+    return tuple((place, target) for place, target in zip(places, fingers, strict=False) if target is not None)
 
 
 def _command(turn: Tensor, unit: float) -> Tensor:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from pwm_gym.errors import PwmGymError, look_up
 from pwm_gym.planning.cem import CEM, CEMConfig
 from pwm_gym.planning.gradient import GradientConfig, GradientPlanner
@@ -35,8 +37,8 @@ def get_planner_config(name: str) -> SamplingConfig:
     return look_up("planner", name, PLANNERS)
 
 
-def build_planner(config: SamplingConfig, control: Control, device: str = "cpu") -> Planner:
-    """The planner that a configuration is of, for a robot's actions.
+def build_planner(config: SamplingConfig, control: Control, device: str = "cpu", fixed: Sequence[int] = ()) -> Planner:
+    """The planner that a configuration is of, for a robot's actions, ``fixed`` components of which it leaves alone.
 
     Raises:
         PwmGymError: it is of none, or holds a setting that does not fit the control.
@@ -44,5 +46,5 @@ def build_planner(config: SamplingConfig, control: Control, device: str = "cpu")
     if type(config) not in _BUILDERS:
         known = ", ".join(kind.__name__ for kind in _BUILDERS)
         raise PwmGymError(f"{type(config).__name__} is no planner's configuration; expected one of {known}")
-    planner: Planner = _BUILDERS[type(config)](config, control, device)
+    planner: Planner = _BUILDERS[type(config)](config, control, device, fixed)
     return planner

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Generic, Protocol, Self, TypeVar
 
@@ -86,8 +86,8 @@ class SamplingConfig:
     iterations: int = 1
     """Rounds of sampling around the improved mean."""
     posture: bool = False
-    """Whether hands keep their posture by themselves (:class:`pwm_gym.planning.posture.Posture`): upright, and turned to
-    the task's headings. How they turn is then no part of a plan."""
+    """Whether hands keep their posture by themselves (:class:`pwm_gym.planning.posture.Posture`): upright, turned and
+    shaped as the task tells. That is then no part of a plan."""
 
     def __post_init__(self) -> None:
         """Check each value."""
@@ -125,12 +125,15 @@ class SamplingPlanner(ABC, Generic[Config]):
         config: settings.
         control: meaning of an action's components.
         device: where the plans live.
+        fixed: components of an action that samples leave as they are: something else decides them.
 
     Raises:
         PwmGymError: a setting that cannot be, or one that does not fit the control.
     """
 
-    def __init__(self, config: Config, control: Control, device: torch.device | str = "cpu") -> None:
+    def __init__(
+        self, config: Config, control: Control, device: torch.device | str = "cpu", fixed: Sequence[int] = ()
+    ) -> None:
         self.config, self.action_size = config, control.size
         noise = config.noise.resolve(control)
 
@@ -138,6 +141,7 @@ class SamplingPlanner(ABC, Generic[Config]):
             return torch.tensor(values, dtype=torch.float32, device=device)
 
         self._sigma, self._bound = tensor(noise.sigma), tensor(noise.bound)
+        self._sigma[list(fixed)] = 0.0
         self._correlation = tensor(noise.correlation)
         self._fresh = (1.0 - self._correlation.square()).sqrt()
         self._stop_samples = min(config.stop_samples, config.horizon, config.samples // 4)
@@ -145,7 +149,8 @@ class SamplingPlanner(ABC, Generic[Config]):
         self._mixing = None if mixing is None else mixing.to(device)
         self._together = share_mask(config.samples, config.together_share, step=3).to(device)
         self._counterparts = torch.tensor(counterparts(control), device=device)
-        self._scale = self._noise_scale(control, tensor(noise.min_noise_scale))
+        self._least = tensor(noise.min_noise_scale)
+        self._scale = self._noise_scale(control)
         # What standing still means: absolute targets and hands stay as they are, all else returns to its rest value.
         absolute = [c.rest is None for c in control.channels for _ in range(c.start, c.stop)]
         hands = [kind in ("gripper", "finger") for kind in control.kinds]
@@ -155,9 +160,17 @@ class SamplingPlanner(ABC, Generic[Config]):
         self._mean: Tensor | None = None  # (B, H, A)
         self._last: Tensor | None = None  # (B, A), the action that led to the present state
 
-    def _noise_scale(self, control: Control, least: Tensor) -> Tensor:
-        """Factors (S, 1, A) of the samples' noise, from 1 down to ``least`` (A,); 0 for an arm that is to stay."""
-        samples = self.config.samples
+    def _noise_scale(self, control: Control, arm: str | None = None) -> Tensor:
+        """Factors (S, 1, A) of the samples' noise, from 1 down to the least; 0 for what is to stay.
+
+        Args:
+            control: meaning of an action's components.
+            arm: the only one that is to move, and what belongs to no arm; None moves all.
+        """
+        samples, least = self.config.samples, self._least
+        arm_of = [c.arm for c in control.channels for _ in range(c.start, c.stop)]
+        free = torch.tensor([arm in (None, name) or not name for name in arm_of])
+        sigma = torch.where(free, self._sigma.cpu(), 0.0).tolist()
         if self.config.geometric_scales:
             kept = samples - 1 - self._stop_samples  # the mean itself and the stop samples need no noise
             place = (torch.arange(samples, device=least.device) / max(kept - 1, 1)).clamp_max(1.0).unsqueeze(-1)
@@ -167,9 +180,10 @@ class SamplingPlanner(ABC, Generic[Config]):
             scale = 1.0 - place * (1.0 - least)
         c = self.config
         shares = c.single_arm_share, c.single_component_share, c.single_channel_share
-        moves = sample_mask(control, self._sigma.tolist(), samples, *shares)
+        moves = sample_mask(control, sigma, samples, *shares)
         together = self._together.cpu()
         moves = torch.where(together.unsqueeze(1), together_mask(control, together), moves)  # whatever the shares say
+        moves = moves & free
         return (scale * moves.to(device=scale.device, dtype=scale.dtype)).unsqueeze(1)
 
     @property

@@ -26,6 +26,7 @@ __all__ = [
     "DRIVEN",
     "FACE",
     "FINGERS",
+    "FLAT",
     "HELD",
     "HOLDING",
     "JOINT_NAMES",
@@ -185,6 +186,8 @@ def finger_targets(thumb: tuple[float, float], bend: float) -> np.ndarray:
     return np.clip(2.0 * angles / upper - 1.0, -1.0, 1.0)
 
 
+FLAT = tuple(float(target) for target in finger_targets((0.0, 0.0), 0.0))
+"""Targets (6,) of a hand with straight fingers, its thumb beside the palm."""
 HOLDING = tuple(float(target) for target in finger_targets((0.5 * np.pi, 0.30), 0.0))
 """Targets (6,) of a hand that holds something between its thumb and straight fingers: a thumb that presses harder tips
 it over."""

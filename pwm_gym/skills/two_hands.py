@@ -15,8 +15,7 @@ __all__ = ["FLAT", "Reach", "act", "upright"]
 
 _GAIN = 1.5  # of the servo: the controller lags and makes a part of what it is asked for
 _FASTEST_TURN = 0.07  # radians a step
-FLAT = two_hands.finger_targets((0.0, 0.0), 0.0)
-"""Straight fingers, the thumb beside the palm."""
+FLAT = np.array(two_hands.FLAT)
 
 
 @dataclass(frozen=True)

@@ -20,11 +20,12 @@ from pwm_gym.tasks import ogbench_cube
 
 # isort: split
 from pwm_gym.tasks import two_arm_box_cleanup, two_arm_drawer_cleanup
-from pwm_gym.tasks.registry import TASKS, Expert, Task, get_task, register_task
+from pwm_gym.tasks.registry import TASKS, Expert, HandPosture, Task, get_task, register_task
 
 __all__ = [
     "TASKS",
     "Expert",
+    "HandPosture",
     "Task",
     "adroit_door",
     "adroit_relocate",

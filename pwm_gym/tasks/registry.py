@@ -14,7 +14,7 @@ from pwm_gym.robots import Control, Robot
 from pwm_gym.scene import Layout
 from pwm_gym.sim import Simulator
 
-__all__ = ["TASKS", "Expert", "Task", "get_task", "on_registration", "register_task"]
+__all__ = ["TASKS", "Expert", "HandPosture", "Task", "get_task", "on_registration", "register_task"]
 
 
 class Expert(Protocol):
@@ -28,6 +28,16 @@ class Expert(Protocol):
             goal: (G,), as the task defines it.
             assets: name of each entity's asset (E,), where a task's objects differ between episodes.
         """
+
+
+@dataclass(frozen=True)
+class HandPosture:
+    """What a planner need not seek of a hand, because the task tells it."""
+
+    heading: Function | None = None
+    """Horizontal direction ``(points, info) -> (B, 3)`` that the hand's x axis shall have; None is planned."""
+    fingers: tuple[float | None, ...] = ()
+    """Targets of its fingers in [-1, 1], None where they are planned; empty where all are."""
 
 
 @dataclass(frozen=True)
@@ -53,9 +63,8 @@ class Task:
     """Registered grasp rule."""
     planner: str = "mppi"
     """Registered planner that plans it by default."""
-    headings: Mapping[str, Function] = field(default_factory=dict)
-    """Arm -> horizontal direction ``(points, info) -> (B, 3)`` that the x axis of its hand shall have, for planners whose
-    hands keep their posture (:class:`pwm_gym.planning.posture.Posture`)."""
+    postures: Mapping[str, HandPosture] = field(default_factory=dict)
+    """Arm -> posture of its hand, for planners whose hands keep it by themselves."""
     goal_size: int = 0
     """G; 0 where the task has no goal beside its objects."""
     expert_steps: int = 66

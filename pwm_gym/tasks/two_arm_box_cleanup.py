@@ -19,10 +19,10 @@ from pwm_gym.costs import (
     shaped,
     terms,
 )
-from pwm_gym.robots.two_hands import SIDES, TWO_HANDS, layout
+from pwm_gym.robots.two_hands import FLAT, SIDES, TWO_HANDS, layout
 from pwm_gym.sim import Simulator
 from pwm_gym.skills import PutLid
-from pwm_gym.tasks.registry import Task, register_task
+from pwm_gym.tasks.registry import HandPosture, Task, register_task
 
 __all__ = ["TWO_ARM_BOX_CLEANUP", "TwoArmBoxCleanupExpert"]
 
@@ -59,7 +59,6 @@ register_stages(
     {
         "ground_contact": (1.0, hands.ground_contact),
         "tilt": (8.0, hands.tilted),
-        "bent": (8.0, hands.bent(*SIDES)),
     },
 )
 
@@ -98,7 +97,7 @@ TWO_ARM_BOX_CLEANUP = register_task(
         cost="two_arm_box_cleanup",
         plan_cost="two_arm_box_cleanup_plan",
         planner="mppi-pair",
-        headings={side: box_lids.heading(_LID, side) for side in SIDES},
+        postures={side: HandPosture(box_lids.heading(_LID, side), FLAT) for side in SIDES},
         success="two_arm_box_cleanup",
         grasp="two_arm_box_cleanup",
         max_episode_steps=280,

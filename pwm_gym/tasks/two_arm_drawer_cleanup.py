@@ -20,12 +20,12 @@ from pwm_gym.costs import (
     shaped,
     terms,
 )
-from pwm_gym.robots.two_hands import SIDES, TWO_HANDS, layout
+from pwm_gym.robots.two_hands import FLAT, HOLDING, TWO_HANDS, layout
 from pwm_gym.scene import FIXED
 from pwm_gym.sim import Simulator
 from pwm_gym.sim.cabinets import DEEP_CABINET
 from pwm_gym.skills import FillDrawer
-from pwm_gym.tasks.registry import Task, register_task
+from pwm_gym.tasks.registry import HandPosture, Task, register_task
 
 __all__ = ["TWO_ARM_DRAWER_CLEANUP", "TwoArmDrawerCleanupExpert"]
 
@@ -67,8 +67,6 @@ register_stages(
     {
         "ground_contact": (1.0, hands.ground_contact),
         "tilt": (8.0, hands.tilted),
-        "bent": (2.0, hands.bent("left")),
-        "bent_fingers": (2.0, hands.bent_fingers("right")),
     },
 )
 
@@ -109,7 +107,10 @@ TWO_ARM_DRAWER_CLEANUP = register_task(
         cost="two_arm_drawer_cleanup",
         plan_cost="two_arm_drawer_cleanup_plan",
         planner="mppi-hands",
-        headings={side: hand_drawers.heading(side, _DRAWER) for side in SIDES},
+        postures={
+            "left": HandPosture(hand_drawers.heading("left", _DRAWER), FLAT),
+            "right": HandPosture(hand_drawers.heading("right", _DRAWER), (HOLDING[0], None, *HOLDING[2:])),
+        },
         success="two_arm_drawer_cleanup",
         grasp="two_arm_drawer_cleanup",
         max_episode_steps=375,

@@ -6,11 +6,11 @@ import torch
 
 from pwm_gym.dynamics import load_checkpoint, resolve
 from pwm_gym.errors import PwmGymError
-from pwm_gym.planning import Agent, MPPIConfig
+from pwm_gym.planning import PLANNERS, Agent, MPPIConfig, build_planner
 from pwm_gym.planning.posture import PosedModel, Posture
 from pwm_gym.scene import batch_state
 from pwm_gym.scene.se3 import make_pose, rotation_from_vector
-from pwm_gym.tasks import get_task
+from pwm_gym.tasks import HandPosture, get_task
 
 TASK = get_task("TwoArmBoxCleanup")
 HANDS = {"left_palm": slice(3, 6), "right_palm": slice(15, 18)}
@@ -78,6 +78,37 @@ def test_hands_turn_about_the_vertical_as_they_are_told(start):
     assert float(torch.atan2(turned[1, 0], turned[0, 0])) == pytest.approx(0.05, abs=5e-3)
 
 
+def test_hands_turn_to_their_heading(start):
+    """The left palm from -y to x, the right one as it is told, which is not at all."""
+    ahead = torch.tensor([[1.0, 0.0, 0.0]])
+    model = PosedModel(Obedient(), Posture(TASK.control, {"left": HandPosture(lambda points, info: ahead)}))
+    state, action = start, torch.zeros(1, TASK.action_size)
+    for _ in range(30):
+        state = model.step(state, action)
+    left, right = (state.poses()[0, state.layout.index(hand), :3, 0] for hand in HANDS)
+    torch.testing.assert_close(left, ahead[0], atol=1e-3, rtol=0.0)
+    assert float(right[1]) > 0.99
+
+
+def test_fingers_take_the_shape_that_they_are_told(start):
+    posture = Posture(TASK.control, {"right": HandPosture(fingers=(0.2, None, -1.0, -1.0, -1.0, 0.4))})
+    action = torch.rand(1, TASK.action_size)
+    kept = posture(start, action)
+    assert kept[0, [18, 20, 21, 22, 23]].tolist() == pytest.approx([0.2, -1.0, -1.0, -1.0, 0.4])
+    assert torch.equal(kept[:, 6:12], action[:, 6:12]) and kept[0, 19] == action[0, 19]
+    assert {*posture.fixed} == {3, 4, 15, 16, 18, 20, 21, 22, 23}
+
+
+def test_a_plan_leaves_alone_what_the_posture_decides():
+    """The planner's own mean never moves there."""
+    fixed = Posture(TASK.control, TASK.postures).fixed
+    planner = build_planner(PLANNERS[TASK.planner], TASK.control, fixed=fixed)
+    plan = planner.plan(lambda actions: actions.sum((-2, -1)), torch.Generator().manual_seed(0))
+    planned = [k for k in range(TASK.action_size) if k not in fixed]
+    assert planned == [0, 1, 2, 12, 13, 14] and (plan[..., planned] != 0.0).all()
+    assert (plan[..., list(fixed)] == 0.0).all()
+
+
 def test_only_turns_about_horizontal_axes_are_replaced(start):
     upright, action = Posture(TASK.control), torch.rand(1, TASK.action_size) - 0.5
     state = tilted(start, (0.1, 0.0, 0.0))
@@ -98,8 +129,20 @@ def test_plans_say_what_the_hands_do_by_themselves(checkpoint):
     state = checkpoint.model.prepare(batch_state([scene]))
     for action in plan:
         told = torch.as_tensor(action)[None]
-        torch.testing.assert_close(Posture(TASK.control)(state, told), told)
+        torch.testing.assert_close(Posture(TASK.control, TASK.postures)(state, told), told)
         state = checkpoint.model.step(state, told)
+
+
+@pytest.mark.parametrize(
+    ("postures", "told"),
+    [
+        ({"middle": HandPosture()}, "posture of middle: none is known to turn its hand"),
+        ({"left": HandPosture(fingers=(0.0, 0.0))}, "posture of left has 2 finger targets; expected 6"),
+    ],
+)
+def test_postures_that_do_not_fit_are_refused(postures, told):
+    with pytest.raises(PwmGymError, match=told):
+        Posture(TASK.control, postures)
 
 
 @pytest.mark.parametrize("task", ["FetchPush", "AdroitHandDoor"])
