@@ -22,7 +22,8 @@ __all__ = ["LIDDED_BOX", "LiddedBox", "apart", "brought", "heading", "held", "re
 
 _OUTSIDE = 0.045  # gap from where hands go in
 _CLEARANCE = 0.11  # over where they hold it, from where hands that come from beside pass over the box
-_READY = (0.025, 0.020, 0.09)  # along the side, in height, and gap at most, of a hand that may go in
+_READY = (0.010, 0.010, 0.09)  # along the side, in height, and gap at most, of a hand that may go in
+_LOST = (0.060, 0.050, 0.12)  # the same of a hand that is not beside the lid any more
 _LIFTED = 0.135  # height of the skirt's lower edge from where the lid passes over the box
 _OVER_RIM = 0.10  # of the lid over its place, where its skirt passes over the box's rim
 _OVER = (0.009, 0.06)  # beside the box's middle, and sine of the turn against it, from where it is lowered
@@ -172,7 +173,7 @@ def sequence(lidded: LiddedBox, least: float, limit: float) -> list[Stage]:
         least: gap of hands that have left the lid.
         limit: rad/s of arms that rest.
     """
-    hold, rest = held(lidded, _CARRIED), seated(lidded)
+    hold, rest, beside = held(lidded, _CARRIED), seated(lidded), _ready(lidded, _LOST)
     pressing = {
         "grip": (6.0, _off_grip(lidded)),
         "press": (6.0, _open(lidded)),
@@ -189,7 +190,8 @@ def sequence(lidded: LiddedBox, least: float, limit: float) -> list[Stage]:
         Stage(
             "surround",
             {"approach": (1.5, _approach(lidded)), "disturbance": (2.0, _disturbance(lidded))},
-            _ready(lidded),
+            _ready(lidded, _READY),
+            lasting=lambda p, i: beside(p, i) | rest(p, i),
         ),
         Stage(
             "lift",
@@ -233,15 +235,17 @@ def _approach(lidded: LiddedBox) -> Term:
     return term
 
 
-def _ready(lidded: LiddedBox) -> Term:
-    """Bool (B,): both hands are outside the lid's sides, at the height at which they hold it, or hold it."""
+def _ready(lidded: LiddedBox, within: tuple[float, float, float]) -> Term:
+    """Bool (B,): both hands are beside the lid or hold it, as near to where they hold it as ``within``, metres, says:
+    along its side, in height and as a gap.
+    """
 
     def term(points: Points, info: Info) -> Tensor:
         found = []
         for side in SIDES:
             along_side, gap, height = _from_grip(points, lidded.lid, side).unbind(-1)
-            level = (along_side.abs() <= _READY[0]) & (height.abs() <= _READY[1])
-            found.append(level & (gap <= _READY[2]) & (gap >= PRESSED[0]))
+            level = (along_side.abs() <= within[0]) & (height.abs() <= within[1])
+            found.append(level & (gap <= within[2]) & (gap >= _CARRIED[0]))
         return torch.stack(found).all(0)
 
     return term

@@ -32,13 +32,13 @@ _TURNED = 0.02  # share of a half turn, at most, by which a hand may be turned t
 _OPENED_FURTHER = 0.025
 _CLEARANCE, _GRIP_HEIGHT = 0.08, 0.018
 # Beside its place, within which a hand comes down, and farther out, where its finger tips pass over what is there:
-_AMID = (0.008, 0.015)
-_ABOUT = (0.012, 0.02)  # beside and over its place, of a hand that may close
+_IN_GAP, _ABOUT_OBJECT = (0.020, 0.020), (0.008, 0.015)
+_ABOUT = (0.009, 0.010)  # beside and over its place, of a hand that may close
 _SLIPPED = 0.06  # from where the hand closes about an object, of one that it has lost
 _SWUNG = 0.076  # from the fingers' face to the thumb opposite to it
 _LIFTED, _CARRIED = 0.06, 0.13  # of an object's lowest point over the ground, and over the tray's floor
-_OVER_PLACE = 0.015
-_LEFT = 0.10  # of the tool over the middle of an object that it has left
+_OFF_GROUND, _OVER_PLACE = 0.02, 0.015
+_LEFT = 0.16  # of the tool over the middle of an object that it has left: the cabinet passes under it
 _UNIT = 0.03
 
 
@@ -129,21 +129,25 @@ def sequence(drawer: Drawer, name: str, inside: Term, opened: float, shut: float
     still_open, is_open = drawers.open_to(drawer, opened), drawers.open_to(drawer, opened + _OPENED_FURTHER)
     hooked = _hangs(drawer, _AT_BAR)
 
+    def raised(points: Points, height: float) -> Tensor:
+        return points[name][..., 2].amin(-1) >= height
+
     def over_place(points: Points, info: Info) -> Tensor:
         carried = is_held(points, info) & still_open(points, info)
         return carried & (_beside_place(points, info, drawer, name) <= _OVER_PLACE)
 
     hang: dict[str, tuple[float, Term]] = {"hang": (5.0, _off(beside("left", drawer)))}
     swung = {"thumb": (4.0, hands.bent_thumb("right"))}
-    waiting: dict[str, tuple[float, Term]] = {**swung, "wait": (1.5, _over(_way_to_grip(name)))}
+    waiting: dict[str, tuple[float, Term]] = {**swung, "wait": (0.5, _over(_way_to_grip(name)))}
     pressing = {"thumb": (2.0, _off_press)}
     gripping = {**hang, **pressing, "closed": (3.0, _open_hand(name)), "off_grip": (4.0, _off_grip(name))}
+    above = {"low": (10.0, _too_low(name))}
     disturbed = {"disturbance": (2.0, lambda p, i: (speed(i["velocity"], name) / 0.005).clamp_max(4.0))}
     return [
         Stage("turn", {**waiting, **disturbed, "over": (2.0, _over(beside("left", drawer)))}, _may_hang(drawer)),
         Stage(
             "hook",
-            {**waiting, **disturbed, "approach": (2.0, _from_above(beside("left", drawer)))},
+            {**waiting, **disturbed, "approach": (2.0, _from_above(beside("left", drawer), *_IN_GAP))},
             _hangs(drawer),
             lasting=lambda p, i: hooked(p, i) | is_shut(p, i) | (still_open(p, i) & ~inside(p, i)),
         ),
@@ -155,14 +159,14 @@ def sequence(drawer: Drawer, name: str, inside: Term, opened: float, shut: float
         ),
         Stage(
             "reach",
-            {**hang, **swung, **disturbed, "approach": (2.0, _from_above(_way_to_grip(name)))},
-            lambda p, i: _about(p, i, name) | is_held(p, i) | inside(p, i),
+            {**hang, **swung, **disturbed, "approach": (2.0, _from_above(_way_to_grip(name), *_ABOUT_OBJECT))},
+            lambda p, i: _about(p, i, name) | (is_held(p, i) & raised(p, _OFF_GROUND)) | inside(p, i),
             lasting=lambda p, i: _at_hand(p, i, name) | inside(p, i),
         ),
         Stage(
             "take",
             {**gripping, "lift": (-5.0, _lift(name))},
-            lambda p, i: (is_held(p, i) & (p[name][..., 2].amin(-1) >= _LIFTED)) | inside(p, i),
+            lambda p, i: (is_held(p, i) & raised(p, _LIFTED)) | inside(p, i),
         ),
         Stage(
             "carry",
@@ -172,13 +176,13 @@ def sequence(drawer: Drawer, name: str, inside: Term, opened: float, shut: float
         Stage("lower", {**gripping, "way": (4.0, _way_down(drawer, name))}, inside),
         Stage(
             "let go",
-            {**hang, **disturbed, "thumb": (4.0, hands.bent_thumb("right")), "low": (10.0, _too_low(name))},
+            {**hang, **disturbed, **above, "thumb": (4.0, hands.bent_thumb("right"))},
             lambda p, i: ~is_held(p, i) & (_too_low(name)(p, i) <= 0.0),
             lasting=inside,
         ),
         Stage(
             "close drawer",
-            {"hang": (3.0, _level(beside("left", drawer))), "opened": (8.0, drawers.opened(drawer))},
+            {**above, "hang": (3.0, _level(beside("left", drawer))), "opened": (8.0, drawers.opened(drawer))},
             is_shut,
             lasting=is_shut,
         ),
@@ -201,11 +205,11 @@ def _level(way: Place) -> Term:
     return _off(lambda points, info: way(points, info)[..., 1:])
 
 
-def _from_above(way: Place) -> Term:
+def _from_above(way: Place, within: float, slope: float) -> Term:
     """Length (B,) of a way that comes from above, sharper when near."""
 
     def term(points: Points, info: Info) -> Tensor:
-        return _felt(way_from_above(-way(points, info), _CLEARANCE, *_AMID), 5.0)
+        return _felt(way_from_above(-way(points, info), _CLEARANCE, within, slope), 5.0)
 
     return term
 
@@ -334,7 +338,7 @@ def _way_down(drawer: Drawer, name: str) -> Term:
 
 
 def _too_low(name: str) -> Term:
-    """By how much (B,) the right tool is lower than 10 cm over the middle of an object that it has left."""
+    """By how much (B,) the right tool is lower than 16 cm over the middle of an object that it has left."""
 
     def term(points: Points, info: Info) -> Tensor:
         height = hands.tool(points, "right")[..., 2] - contacts.centre(points, name)[..., 2]
