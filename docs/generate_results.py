@@ -80,6 +80,8 @@ _PLANNED = {
     "FetchPickAndPlace": "plan_fetch_pick_and_place",
     "FetchSlide": "plan_fetch_slide",
     "OGBenchCubeSingle": "plan_ogbench_cube_single",
+    "TwoArmBoxCleanup": "plan_two_arm_box_cleanup",
+    "TwoArmDrawerCleanup": "plan_two_arm_drawer_cleanup",
 }
 _MIXED = ("PickYCB", "PickYCB, unseen objects")  # some of whose objects nothing can lift
 _PLAN_MODES = {

@@ -36,6 +36,7 @@ _MUJOCO_TASKS = {
     "FetchSlide": "fetch_slide",
     "OGBenchCubeSingle": "ogbench_cube_single",
 }
+_TWO_ARM_TASKS = {"TwoArmBoxCleanup": "two_arm_box_cleanup", "TwoArmDrawerCleanup": "two_arm_drawer_cleanup"}
 
 
 def planning_table(name: str, title: str = "") -> str:
@@ -189,7 +190,7 @@ def shared() -> str:
 def rates() -> str:
     """Environment steps a second of every task that was timed, beside its simulator's."""
     rows, sources = [], []
-    for task, suffix in {"PickCube": "pick_cube", **_TASKS, **_LONG_TASKS, **_MUJOCO_TASKS}.items():
+    for task, suffix in {"PickCube": "pick_cube", **_TASKS, **_LONG_TASKS, **_MUJOCO_TASKS, **_TWO_ARM_TASKS}.items():
         if (result := read(f"bench_{suffix}")) is not None:
             raw, rate = result["simulator_steps_per_second"], result["model_steps_per_second"]
             cells = [f"{rate[n]:,.0f} ({rate[n] / raw:.0f} x)" for n in ("256", "1024")]
