@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -10,6 +11,7 @@ from torch import Tensor
 from pwm_gym.errors import PwmGymError
 from pwm_gym.planning.noise import ActionNoise, NoiseConfig
 from pwm_gym.planning.sampling import Objective, SamplingConfig, SamplingPlanner
+from pwm_gym.robots import Control
 
 __all__ = ["MPPI", "MPPIConfig"]
 
@@ -22,6 +24,9 @@ class MPPIConfig(SamplingConfig):
     """The paper's lambda: the cost difference that makes a sequence e times less likely."""
     relative: bool = True
     """Whether the temperature is in units of the elites' cost spread."""
+    in_turn: bool = False
+    """Whether each iteration perturbs one arm alone, each arm in turn, after one for all where arms also go together:
+    what is good for one hand is then not lost with what is bad for another."""
 
     def check(self) -> None:
         """Refuse what cannot be.
@@ -48,7 +53,7 @@ class MPPIConfig(SamplingConfig):
     @classmethod
     def hands(cls) -> MPPIConfig:
         """As :meth:`fine`, for several arms with hands: these keep their posture by themselves, go 3 cm a step at
-        most, and mostly one alone; fingers bend together.
+        most, and are planned one after the other; fingers bend together.
         """
         fine = cls.fine()
         moves = replace(fine.noise.translation, bound=0.3)
@@ -56,18 +61,22 @@ class MPPIConfig(SamplingConfig):
         fingers = replace(fine.noise.finger, sigma=(0.5,), correlation=0.97, min_noise_scale=0.03, synergy=0.8)
         noise = replace(fine.noise, translation=moves, rotation=turns, finger=fingers)
         return replace(
-            fine,
+            fine.resize(60),
             noise=noise,
-            single_arm_share=0.8,
-            single_channel_share=0.5,
-            single_component_share=0.2,
+            iterations=2,
+            in_turn=True,
+            single_arm_share=0.0,
+            single_channel_share=0.4,
+            single_component_share=0.4,
             posture=True,
         )
 
     @classmethod
     def pair(cls) -> MPPIConfig:
         """As :meth:`hands`, for hands that hold one thing together: in some of the samples they go the same way."""
-        return replace(cls.hands(), together_share=0.3, single_arm_share=0.4)
+        apart = cls.hands().resize(100)
+        shares = {"together_share": 0.3, "single_arm_share": 0.4, "single_channel_share": 0.5}
+        return replace(apart, iterations=1, in_turn=False, single_component_share=0.2, **shares)
 
     @classmethod
     def paper(cls, horizon: int = 10) -> MPPIConfig:
@@ -87,8 +96,17 @@ class MPPIConfig(SamplingConfig):
 class MPPI(SamplingPlanner[MPPIConfig]):
     """The cheapest samples' mean, each weighted by ``exp(-cost / temperature)``."""
 
+    def __init__(
+        self, config: MPPIConfig, control: Control, device: torch.device | str = "cpu", fixed: Sequence[int] = ()
+    ) -> None:
+        super().__init__(config, control, device, fixed)
+        arms = control.arm_names if config.in_turn else ()
+        turns = [*([None] if config.together_share or not arms else []), *arms]
+        self._scales = [self._noise_scale(control, arm) for arm in turns]  # of each iteration, in turn
+
     def _improve(self, mean: Tensor, objective: Objective, generator: torch.Generator) -> Tensor:
-        for _ in range(self.config.iterations):
+        for k in range(self.config.iterations):
+            self._scale = self._scales[k % len(self._scales)]
             actions = self._sample(mean, self._sigma, self._noise(len(mean), generator))  # (B, S, H, A)
             mean = self._average(actions, objective(actions))
         return mean

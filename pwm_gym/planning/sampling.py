@@ -149,7 +149,8 @@ class SamplingPlanner(ABC, Generic[Config]):
         self._mixing = None if mixing is None else mixing.to(device)
         self._together = share_mask(config.samples, config.together_share, step=3).to(device)
         self._counterparts = torch.tensor(counterparts(control), device=device)
-        self._scale = self._noise_scale(control, tensor(noise.min_noise_scale))
+        self._least = tensor(noise.min_noise_scale)
+        self._scale = self._noise_scale(control)
         # What standing still means: absolute targets and hands stay as they are, all else returns to its rest value.
         absolute = [c.rest is None for c in control.channels for _ in range(c.start, c.stop)]
         hands = [kind in ("gripper", "finger") for kind in control.kinds]
@@ -159,9 +160,17 @@ class SamplingPlanner(ABC, Generic[Config]):
         self._mean: Tensor | None = None  # (B, H, A)
         self._last: Tensor | None = None  # (B, A), the action that led to the present state
 
-    def _noise_scale(self, control: Control, least: Tensor) -> Tensor:
-        """Factors (S, 1, A) of the samples' noise, from 1 down to ``least`` (A,); 0 for an arm that is to stay."""
-        samples = self.config.samples
+    def _noise_scale(self, control: Control, arm: str | None = None) -> Tensor:
+        """Factors (S, 1, A) of the samples' noise, from 1 down to the least; 0 for what is to stay.
+
+        Args:
+            control: meaning of an action's components.
+            arm: the only one that is to move, and what belongs to no arm; None moves all.
+        """
+        samples, least = self.config.samples, self._least
+        arm_of = [c.arm for c in control.channels for _ in range(c.start, c.stop)]
+        free = torch.tensor([arm in (None, name) or not name for name in arm_of])
+        sigma = torch.where(free, self._sigma.cpu(), 0.0).tolist()
         if self.config.geometric_scales:
             kept = samples - 1 - self._stop_samples  # the mean itself and the stop samples need no noise
             place = (torch.arange(samples, device=least.device) / max(kept - 1, 1)).clamp_max(1.0).unsqueeze(-1)
@@ -171,9 +180,10 @@ class SamplingPlanner(ABC, Generic[Config]):
             scale = 1.0 - place * (1.0 - least)
         c = self.config
         shares = c.single_arm_share, c.single_component_share, c.single_channel_share
-        moves = sample_mask(control, self._sigma.tolist(), samples, *shares)
+        moves = sample_mask(control, sigma, samples, *shares)
         together = self._together.cpu()
         moves = torch.where(together.unsqueeze(1), together_mask(control, together), moves)  # whatever the shares say
+        moves = moves & free
         return (scale * moves.to(device=scale.device, dtype=scale.dtype)).unsqueeze(1)
 
     @property

@@ -118,6 +118,40 @@ def test_a_dimension_without_noise_keeps_its_mean():
     assert (seen[0][..., 1] == 1.0).all() and seen[0][..., 0].std() > 0.1
 
 
+@pytest.mark.parametrize("share", [0.0, 0.3])
+def test_arms_are_planned_in_turn_after_all_of_them_together(share):
+    """Each iteration moves one arm alone; where arms also go together, one for all comes first."""
+    two = get_task("TwoArmBoxCleanup").control
+    half, fixed = two.size // 2, (0, 12)
+    config = replace(MPPIConfig.hands(), iterations=3, together_share=share, stop_samples=0)
+    seen = []
+    MPPI(config, two, fixed=fixed).plan(lambda a: (seen.append(a), a.square().sum((-1, -2)))[1], generator())
+    moved = [(actions - actions[:, -1:]).abs().amax((0, 1, 2)) > 0 for actions in seen]
+    arms = [(bool(m[:half].any()), bool(m[half:].any())) for m in moved]
+    left, right, both = (True, False), (False, True), (True, True)
+    assert arms == ([both, left, right] if share else [left, right, left])
+    assert not any(m[list(fixed)].any() for m in moved)
+    assert all(m[1:3].all() for m, arm in zip(moved, arms, strict=True) if arm[0])
+
+
+def test_planning_arms_in_turn_keeps_the_one_that_costs_less():
+    """What one arm does costs 30 times as much as what the other one does, which is not lost with it."""
+    two = get_task("TwoArmBoxCleanup").control
+    half = two.size // 2
+
+    def error(actions, part):
+        return (actions[..., part] - 0.2).abs().sum((-1, -2))
+
+    def found(**settings):
+        noise = ActionNoise.uniform(NoiseConfig((0.3,)))
+        planner, source = MPPI(replace(MPPIConfig.hands(), noise=noise, **settings), two), generator()
+        for _ in range(20):
+            plan = planner.plan(lambda a: 30.0 * error(a, slice(0, half)) + error(a, slice(half, None)), source)
+        return float(error(plan, slice(half, None)))
+
+    assert found() < 0.6 * found(in_turn=False, iterations=1, single_arm_share=0.5)
+
+
 def test_noise_has_the_correlation_and_the_scales_it_is_given():
     seen = []
     config = MPPIConfig(samples=4000, horizon=6, elites=16, noise=noise(0.1, 0.8, 0.1))

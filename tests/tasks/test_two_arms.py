@@ -8,7 +8,7 @@ import pytest
 import torch
 from demonstrating import demonstration, steps_to_success
 
-from pwm_gym.costs import get_cost, get_grasp, get_success
+from pwm_gym.costs import cost_info, get_cost, get_grasp, get_success
 from pwm_gym.dynamics import build_model
 from pwm_gym.errors import SceneError
 from pwm_gym.scene import Layout, batch_state
@@ -62,6 +62,21 @@ def test_a_demonstration_goes_through_all_stages_and_their_costs_fall(recorded):
             assert own[-4:].mean() < own[:4].mean(), part.name
     ends = [values[stage == k].mean() for k in range(len(cost.stages)) if bool((stage == k).any())]
     assert all(later < earlier for earlier, later in pairwise(ends))
+
+
+def test_hands_that_lose_what_they_carry_begin_anew_where_they_came_to_it(recorded):
+    task, _, (scenes, _, outcomes) = recorded
+    held = [t for t, outcome in enumerate(outcomes) if outcome.grasped]
+    scene, carried = scenes[held[len(held) // 2]], {"TwoArmBoxCleanup": "lid", "TwoArmDrawerCleanup": "mug"}[task.name]
+    poses = scene.poses.copy()
+    poses[:, scene.layout.index(carried), 0] -= 0.2
+    state = batch_state([scene, replace(scene, poses=poses)])
+    cost, zeros = get_cost(task.plan_cost), torch.zeros(2, task.action_size)
+    points, info = cost_info(state, zeros, torch.zeros(2, task.goal_size), get_grasp(task.grasp))
+    carrying = cost.stage_names.index("carry")
+    kept, lost = (cost.stage_names[k] for k in cost.advance(torch.tensor([carrying, carrying]), points, info))
+    assert kept in ("carry", "lower")
+    assert lost == {"TwoArmBoxCleanup": "surround", "TwoArmDrawerCleanup": "reach"}[task.name]
 
 
 def test_the_expert_goes_on_from_a_restored_scene(recorded):
