@@ -150,7 +150,7 @@ class Agent:
         """Action sequences (B, H, A) with the turns that keep the hands' posture."""
         if self._posture is None:
             return plans
-        state, kept = self._present(), []
+        state, kept = self._present(), list[Tensor]()
         for k, action in enumerate(plans.unbind(1)):
             state = state if k == 0 else self.model.step(state, kept[-1])
             kept.append(self._posture(state, action))

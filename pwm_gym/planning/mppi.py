@@ -74,9 +74,15 @@ class MPPIConfig(SamplingConfig):
     @classmethod
     def pair(cls) -> MPPIConfig:
         """As :meth:`hands`, for hands that hold one thing together: in some of the samples they go the same way."""
-        apart = cls.hands().resize(100)
-        shares = {"together_share": 0.3, "single_arm_share": 0.4, "single_channel_share": 0.5}
-        return replace(apart, iterations=1, in_turn=False, single_component_share=0.2, **shares)
+        return replace(
+            cls.hands().resize(100),
+            iterations=1,
+            in_turn=False,
+            single_arm_share=0.4,
+            together_share=0.3,
+            single_channel_share=0.5,
+            single_component_share=0.2,
+        )
 
     @classmethod
     def paper(cls, horizon: int = 10) -> MPPIConfig:
