@@ -8,6 +8,7 @@ from pwm_gym.planning.gradient import GradientConfig, GradientPlanner
 from pwm_gym.planning.mppi import MPPI, MPPIConfig
 from pwm_gym.planning.noise import ActionNoise, NoiseConfig
 from pwm_gym.planning.objective import RolloutObjective
+from pwm_gym.planning.posture import PosedModel, Posture
 from pwm_gym.planning.registry import PLANNERS, build_planner, get_planner_config
 from pwm_gym.planning.run import Run
 from pwm_gym.planning.sampling import Objective, Planner, SamplingConfig
@@ -25,6 +26,8 @@ __all__ = [
     "NoiseConfig",
     "Objective",
     "Planner",
+    "PosedModel",
+    "Posture",
     "RolloutObjective",
     "Run",
     "SamplingConfig",

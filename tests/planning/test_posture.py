@@ -6,8 +6,7 @@ import torch
 
 from pwm_gym.dynamics import load_checkpoint, resolve
 from pwm_gym.errors import PwmGymError
-from pwm_gym.planning import PLANNERS, Agent, MPPIConfig, build_planner
-from pwm_gym.planning.posture import PosedModel, Posture
+from pwm_gym.planning import PLANNERS, Agent, MPPIConfig, PosedModel, Posture, build_planner
 from pwm_gym.scene import batch_state
 from pwm_gym.scene.se3 import make_pose, rotation_from_vector
 from pwm_gym.tasks import HandPosture, get_task
