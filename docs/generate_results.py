@@ -13,7 +13,17 @@ from formatting import ROOT, SUCCESS_HEAD, grid, number, paragraph, read, source
 from glance import glance
 from published import published
 from reliability import reliability
-from tables import all_tables, completed_rollouts, completion, planning_table, rates, shared, speed, task_tables
+from tables import (
+    all_tables,
+    completed_rollouts,
+    completion,
+    planning_table,
+    rates,
+    shared,
+    speed,
+    task_tables,
+    thinning,
+)
 from trained import TRAINED
 
 from pwm_gym.assets.liftable import liftable_objects
@@ -153,6 +163,7 @@ def page() -> str:
         shared(),
         speed(),
         rates(),
+        thinning(),
         reliability(),
         _LIMITS,
     ]

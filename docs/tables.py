@@ -209,6 +209,30 @@ def rates() -> str:
     return f"## Speed of every task\n\n{told}\n{about}\n{grid(head, rows)}"
 
 
+def thinning() -> str:
+    """What thinner clouds change and save, of the tasks with the largest ones."""
+    rows, sources = [], []
+    for task, suffix in _TWO_ARM_TASKS.items():
+        if (result := read(f"thinning_{suffix}")) is not None:
+            for count, row in result["rows"].items():
+                differences = [row["reward_difference_mean"], row["reward_difference_most"]]
+                told = [number(value, 4) for value in differences]
+                rows.append(
+                    [task, count, f"{row['steps_per_second']:,.0f}", *told, number(row["entity_difference_mm"], 2)]
+                )
+                task = ""
+            sources.append(source(f"thinning_{suffix}", result))
+    if not rows:
+        return ""
+    about = paragraph(
+        "Clouds come in the order of farthest-point sampling, so that a thinner one is each entity's first points",
+        "(`gym.make(..., points=1200)`). The same random actions in the same scenes, in whole clouds and in thinner ones.",
+    )
+    head = ["task", "points", "steps a second", "reward differs by", "at most", "entities differ by (mm)"]
+    told = "\n".join(sources)
+    return f"## Thinner clouds\n\n{told}\n{about}\n{grid(head, rows)}"
+
+
 def speed() -> str:
     """Times of environments, rollouts and plans."""
     result = read("bench_pick_cube")
