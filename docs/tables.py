@@ -226,7 +226,7 @@ def thinning() -> str:
         return ""
     about = paragraph(
         "Clouds come in the order of farthest-point sampling, so that a thinner one is each entity's first points",
-        "(`gym.make(..., points=1200)`). The same random actions in the same scenes, in whole clouds and in thinner ones.",
+        "(`gym.make(..., points=1200)`). The same random actions in the same scenes, in whole and in thinner clouds.",
     )
     head = ["task", "points", "steps a second", "reward differs by", "at most", "entities differ by (mm)"]
     told = "\n".join(sources)
