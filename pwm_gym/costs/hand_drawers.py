@@ -137,8 +137,8 @@ def sequence(drawer: Drawer, name: str, inside: Term, opened: float, shut: float
         return carried & (_beside_place(points, info, drawer, name) <= _OVER_PLACE)
 
     hang: dict[str, tuple[float, Term]] = {"hang": (5.0, _off(beside("left", drawer)))}
-    swung = {"thumb": (4.0, hands.bent_thumb("right"))}
-    waiting: dict[str, tuple[float, Term]] = {**swung, "wait": (0.5, _over(_way_to_grip(name)))}
+    unbent = {"thumb": (4.0, hands.bent_thumb("right"))}
+    waiting: dict[str, tuple[float, Term]] = {**unbent, "wait": (0.5, _over(_way_to_grip(name)))}
     pressing = {"thumb": (2.0, _off_press)}
     gripping = {**hang, **pressing, "closed": (3.0, _open_hand(name)), "off_grip": (4.0, _off_grip(name))}
     above = {"low": (10.0, _too_low(name))}
@@ -159,7 +159,7 @@ def sequence(drawer: Drawer, name: str, inside: Term, opened: float, shut: float
         ),
         Stage(
             "reach",
-            {**hang, **swung, **disturbed, "approach": (2.0, _from_above(_way_to_grip(name), *_ABOUT_OBJECT))},
+            {**hang, **unbent, **disturbed, "approach": (2.0, _from_above(_way_to_grip(name), *_ABOUT_OBJECT))},
             lambda p, i: _about(p, i, name) | (is_held(p, i) & raised(p, _OFF_GROUND)) | inside(p, i),
             lasting=lambda p, i: _at_hand(p, i, name) | inside(p, i),
         ),
@@ -176,7 +176,7 @@ def sequence(drawer: Drawer, name: str, inside: Term, opened: float, shut: float
         Stage("lower", {**gripping, "way": (4.0, _way_down(drawer, name))}, inside),
         Stage(
             "let go",
-            {**hang, **disturbed, **above, "thumb": (4.0, hands.bent_thumb("right"))},
+            {**hang, **disturbed, **above, **unbent},
             lambda p, i: ~is_held(p, i) & (_too_low(name)(p, i) <= 0.0),
             lasting=inside,
         ),

@@ -25,7 +25,7 @@ _GAIN = 0.8  # share of a turn that is asked for in a step: more overshoots wher
 
 @dataclass(frozen=True)
 class _Hand:
-    """A hand that is kept in posture."""
+    """A hand whose posture is kept."""
 
     entity: str
     rotation: slice
@@ -90,8 +90,12 @@ class Posture:
             turn = _righting(rotation @ hand.up.to(poses))
             action[:, hand.rotation.start : hand.rotation.start + 2] = _command(turn, hand.unit)
             if hand.posture.heading is not None:
-                turn = _yaw_between(rotation[..., 0], hand.posture.heading(points, {"action": action}))
-                action[:, hand.rotation.stop - 1] = _command(turn, hand.unit)
+                way = hand.posture.heading(points, {"action": action})
+                if way.shape != rotation.shape[:2]:
+                    raise PwmGymError(
+                        f"heading of {hand.entity} has shape {tuple(way.shape)}; expected {tuple(rotation.shape[:2])}"
+                    )
+                action[:, hand.rotation.stop - 1] = _command(_yaw_between(rotation[..., 0], way), hand.unit)
             for component, target in hand.shaped:
                 action[:, component] = target
         return action

@@ -32,12 +32,21 @@ class Expert(Protocol):
 
 @dataclass(frozen=True)
 class HandPosture:
-    """What a planner need not seek of a hand, because the task tells it."""
+    """What a planner need not seek of a hand, because the task tells it.
+
+    Raises:
+        PwmGymError: a finger target that is not in [-1, 1].
+    """
 
     heading: Function | None = None
     """Horizontal direction ``(points, info) -> (B, 3)`` that the hand's x axis shall have; None is planned."""
     fingers: tuple[float | None, ...] = ()
     """Targets of its fingers in [-1, 1], None where they are planned; empty where all are."""
+
+    def __post_init__(self) -> None:
+        """Check the targets."""
+        if off := [target for target in self.fingers if target is not None and not -1.0 <= target <= 1.0]:
+            raise PwmGymError(f"finger target {off[0]} of a posture; expected -1 to 1, or None")
 
 
 @dataclass(frozen=True)

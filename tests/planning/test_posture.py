@@ -144,6 +144,18 @@ def test_postures_that_do_not_fit_are_refused(postures, told):
         Posture(TASK.control, postures)
 
 
+@pytest.mark.parametrize("target", [1.5, float("nan")])
+def test_finger_targets_are_those_of_actions(target):
+    with pytest.raises(PwmGymError, match=f"finger target {target} of a posture; expected -1 to 1"):
+        HandPosture(fingers=(0.0, target))
+
+
+def test_a_heading_of_another_shape_is_refused(start):
+    posture = Posture(TASK.control, {"left": HandPosture(lambda points, info: points["lid"].mean(-2)[..., :2])})
+    with pytest.raises(PwmGymError, match=r"heading of left_palm has shape \(1, 2\); expected \(1, 3\)"):
+        posture(start, torch.zeros(1, TASK.action_size))
+
+
 @pytest.mark.parametrize("task", ["FetchPush", "AdroitHandDoor"])
 def test_an_arm_whose_rest_is_not_known_cannot_be_kept_upright(task):
     with pytest.raises(PwmGymError, match=r"posture of.*none is known to turn its hand"):
