@@ -137,17 +137,18 @@ class Agent:
         """
         if scene is not None:
             self.look(scene)
-        return self._told(self._posed(self._planned()))
+        return self._told(self._actions())
 
-    def _planned(self) -> Tensor:
-        """The planner's action sequences (B, H, A) from the present state."""
+    def _actions(self, steps: int | None = None) -> Tensor:
+        """The first ``steps`` actions (B, steps, A) from the present state on; None tells all that are planned."""
         objective = self.objective.begin(self._present(), self._goal, self._present_stage())
         proposal = self._follow(self.guide) if self.guide is not None else None
-        return self.planner.plan(objective, self._generator, len(self._goal), self._action, proposal)
+        plans = self.planner.plan(objective, self._generator, len(self._goal), self._action, proposal)
+        return self._posed(plans[:, :steps])
 
     @torch.no_grad()
     def _posed(self, plans: Tensor) -> Tensor:
-        """Action sequences (B, H, A) with the turns that keep the hands' posture."""
+        """Action sequences (B, H, A) as hands execute them that keep their posture."""
         if self._posture is None:
             return plans
         state, kept = self._present(), list[Tensor]()
@@ -174,7 +175,7 @@ class Agent:
         """First action (A,) of :meth:`plan`, or first actions (B, A)."""
         if scene is not None:
             self.look(scene)
-        return self._told(self._posed(self._planned()[:, :1])[:, 0])
+        return self._told(self._actions(1))[..., 0, :]
 
     @torch.no_grad()
     def advance(self, action: np.ndarray) -> State:

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any, Protocol
 
-import numpy as np
 from torch import Tensor
 
 from pwm_gym.dynamics.baselines import Still
 from pwm_gym.errors import PwmGymError
 from pwm_gym.planning import Agent
-from pwm_gym.scene import RigidState, Scene
+from pwm_gym.scene import RigidState
 from pwm_gym.tasks import get_task
 
 __all__ = ["ActsOnPoses", "PolicyAgent"]
@@ -37,19 +35,16 @@ class PolicyAgent(Agent):
         super().__init__(Still(known.layout, known.control), task)
         self.policy = policy
 
-    def plan(self, scene: Scene | Sequence[Scene] | None = None) -> np.ndarray:
-        """Actions (1, A), or (B, 1, A) of several scenes.
+    def _actions(self, steps: int | None = None) -> Tensor:
+        """Actions (B, 1, A) from the present state.
 
         Raises:
             PwmGymError: there is no state yet, or one that has no entity poses.
         """
-        if scene is not None:
-            self.look(scene)
         state = self._present()
         if not isinstance(state, RigidState):
             raise PwmGymError(f"a policy acts on entity poses; the state is a {type(state).__name__}")
-        actions = self.policy.act(state, self._goal).cpu().numpy()[:, None]
-        return np.asarray(actions[0] if self._one else actions)
+        return self.policy.act(state, self._goal).unsqueeze(1)
 
     def describe(self) -> dict[str, Any]:
         """What acts: the policy in the planner's place; the cost is what records tell it by."""
