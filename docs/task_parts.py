@@ -17,6 +17,7 @@ from pwm_gym.costs import StagedCost, get_cost
 from pwm_gym.dynamics import Checkpoint, load_checkpoint
 from pwm_gym.dynamics.checkpoint import default_checkpoints
 from pwm_gym.envs.common import action_space, observation_space
+from pwm_gym.planning import Posture
 from pwm_gym.robots import Channel
 from pwm_gym.tasks import Task
 
@@ -46,6 +47,10 @@ def facts(task: Task) -> list[str]:
         f"- goal: {goal}; at most {task.max_episode_steps} steps; the expert takes about {task.expert_steps}",
         f"- success `{task.success}`, grasp rule `{task.grasp}`, planner `{task.planner}`",
     ]
+    if task.postures:
+        fixed = Posture(task.control, task.postures).fixed
+        sought = [f"`{name}`" for k, name in enumerate(task.robot.action_names) if k not in fixed]
+        lines.append(f"- hands keep their posture by themselves; a plan seeks {', '.join(sought)}")
     folder = default_checkpoints().get(task.name)
     if folder is not None:
         lines.append(f"- checkpoint `{folder.name}`, trained on {', '.join(trained_on(task.name))}")
