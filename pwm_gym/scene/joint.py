@@ -6,7 +6,10 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
+
 from pwm_gym.errors import SceneError
+from pwm_gym.scene.poses import relative, rotation
 
 __all__ = ["FIXED", "FREE", "IDENTITY", "JOINT_KINDS", "Joint", "JointKind", "Mimic", "Pose7"]
 
@@ -84,6 +87,12 @@ class Joint:
     def moves(self) -> bool:
         """Whether it has one degree of freedom."""
         return self.kind in ("prismatic", "revolute")
+
+    def position(self, pose: np.ndarray) -> float:
+        """Position, radians or metres, where the entity is at a pose (7,) in its parent's frame; turns up to pi."""
+        local = relative(np.array(self.origin), pose[None])[0]
+        way = local[:3] if self.kind == "prismatic" else rotation(local).as_rotvec()
+        return float(way @ np.array(self.axis))
 
 
 FREE = Joint()

@@ -13,6 +13,7 @@ from pwm_gym.errors import SceneError
 from pwm_gym.files import load_arrays, save_arrays
 from pwm_gym.scene.cloud import resample_clouds
 from pwm_gym.scene.layout import Layout
+from pwm_gym.scene.poses import relative
 from pwm_gym.scene.se3 import matrix_from_pose7
 from pwm_gym.scene.state import RigidState
 
@@ -22,6 +23,7 @@ SCHEMA = 2
 """Of scenes, data sets and checkpoints; files of schema 1 (version 0.1) are read, too."""
 _FORMAT = "pwm_gym.scene"
 _REQUIRED = ("clouds", "poses", "goal")
+_SLACK, _SPRING = 0.01, 0.1  # metres or radians, or share of its range, by which a joint may be beyond its limits
 _FIELDS = (*_REQUIRED, "joints", "last_action")
 
 
@@ -106,7 +108,25 @@ class Scene:
         norms = np.linalg.norm(self.poses[..., 3:], axis=-1)
         if np.abs(norms - 1).max() > 1e-2:
             raise SceneError(f"scene.poses has a quaternion of norm {norms.flat[np.abs(norms - 1).argmax()]:.3f}")
+        self._check_joints()
         return self
+
+    def _check_joints(self) -> None:
+        """Refuse parts that are beyond their joint's limits; a robot's own links may be anywhere."""
+        for i, entity in enumerate(self.layout):
+            joint = entity.joint
+            if entity.driven or not joint.moves or joint.upper - joint.lower > np.pi:
+                continue
+            pose = self.poses[0, i]
+            if joint.parent is not None:
+                pose = relative(self.poses[0, self.layout.index(joint.parent)], pose[None])[0]
+            position, slack = joint.position(pose), max(_SLACK, _SPRING * (joint.upper - joint.lower))
+            if not joint.lower - slack <= position <= joint.upper + slack:
+                unit = "m" if joint.kind == "prismatic" else "rad"
+                raise SceneError(
+                    f"scene.poses has {entity.name!r} at {position:.3f} {unit} along its joint; "
+                    f"expected {joint.lower:.3f} to {joint.upper:.3f}"
+                )
 
     def coarsen(self, layout: Layout) -> Scene:
         """The same scene with the (fewer) points of ``layout``."""

@@ -6,6 +6,7 @@ import torch
 
 from pwm_gym.data import KINDS, Dataset
 from pwm_gym.dynamics import build_model
+from pwm_gym.errors import SceneError
 from pwm_gym.evaluation import evaluate_rollouts, long_rollouts, predict, validation_metrics
 from pwm_gym.evaluation.floors import chaos_floor, in_units_of_chaos, nudged, sampling_floor
 from pwm_gym.evaluation.joints import joint_positions
@@ -231,6 +232,26 @@ def test_positions_of_joints_are_read_off_poses():
     poses = torch.stack([opened(0.05, 0.3), opened(0.15, -1.9)])
     torch.testing.assert_close(joint_positions(ARTICULATED, poses, 2), torch.tensor([0.05, 0.15]))
     torch.testing.assert_close(joint_positions(ARTICULATED, poses, 3), torch.tensor([0.3, -1.9]))
+
+
+@pytest.mark.parametrize(
+    ("drawer", "lid", "told"),
+    [
+        (0.3, 0.4, r"'drawer' at 0\.300 m along its joint; expected 0\.000 to 0\.200"),
+        (-0.1, 0.4, r"'drawer' at -0\.100 m along its joint"),
+        (0.1, 2.0, r"'lid' at 2\.000 rad along its joint"),
+    ],
+)
+def test_scenes_whose_parts_are_beyond_their_limits_are_refused(drawer, lid, told):
+    def scene(drawer, lid):
+        pose = pose7_from_matrix(opened(drawer, lid).double()).numpy()
+        return Scene(
+            "made", ARTICULATED, np.zeros((ARTICULATED.points, 3), np.float32), np.stack([pose] * 3), np.zeros(0)
+        )
+
+    assert scene(0.205, 0.4).validate("made", ARTICULATED, 0)  # a spring at its end
+    with pytest.raises(SceneError, match=told):
+        scene(drawer, lid).validate("made", ARTICULATED, 0)
 
 
 @pytest.mark.parametrize("entity", ["drawer", "lid"])
