@@ -88,6 +88,11 @@ class Joint:
         """Whether it has one degree of freedom."""
         return self.kind in ("prismatic", "revolute")
 
+    @property
+    def told_by_pose(self) -> bool:
+        """Whether a pose tells a turn's position: within half a turn to either side."""
+        return -math.pi < self.lower and self.upper < math.pi
+
     def position(self, pose: np.ndarray) -> float:
         """Position, radians or metres, where the entity is at a pose (7,) in its parent's frame; turns up to pi."""
         local = relative(np.array(self.origin), pose[None])[0]

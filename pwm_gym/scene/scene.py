@@ -115,7 +115,7 @@ class Scene:
         """Refuse parts that are beyond their joint's limits; a robot's own links may be anywhere."""
         for i, entity in enumerate(self.layout):
             joint = entity.joint
-            if entity.driven or not joint.moves or joint.upper - joint.lower > np.pi:
+            if entity.driven or not joint.moves or (joint.kind == "revolute" and not joint.told_by_pose):
                 continue
             pose = self.poses[0, i]
             if joint.parent is not None:

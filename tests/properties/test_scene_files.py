@@ -6,9 +6,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from pwm_gym.errors import PwmGymError
 from pwm_gym.scene import Joint, Layout, Scene, Support
+from pwm_gym.scene.joint import IDENTITY
+from pwm_gym.scene.poses import compose
 
 names = st.text(min_size=1, max_size=8)
 numbers = st.floats(-10, 10)
@@ -32,12 +35,25 @@ def layouts(draw):
     return Layout.build(counts, driven, hanging, supports)
 
 
+def on_joint(joint, parent, rng):
+    """A pose (7,) somewhere along a joint."""
+    position, axis = rng.uniform(joint.lower, joint.upper), np.array(joint.axis)
+    turn = Rotation.from_rotvec(position * axis).as_quat(scalar_first=True)
+    moved = np.r_[position * axis, 1.0, 0.0, 0.0, 0.0] if joint.kind == "prismatic" else np.r_[0.0, 0.0, 0.0, turn]
+    return compose(parent, compose(np.array(joint.origin), moved))
+
+
 @st.composite
 def scenes(draw):
     layout, rng = draw(layouts()), np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     quaternions = rng.normal(size=(3, len(layout), 4))
     poses = np.concatenate([rng.normal(size=(3, len(layout), 3)), quaternions], -1)
     poses[..., 3:] /= np.linalg.norm(quaternions, axis=-1, keepdims=True)
+    for k, entity in enumerate(layout):
+        if entity.joint.moves:
+            parent = entity.joint.parent
+            bases = [IDENTITY] * 3 if parent is None else poses[:, layout.index(parent)]
+            poses[:, k] = [on_joint(entity.joint, np.array(base), rng) for base in bases]
     joints = rng.normal(size=(2, draw(st.integers(1, 9)))) if draw(st.booleans()) else None
     return Scene(
         task=draw(names),
