@@ -37,6 +37,14 @@ def grid(head: list[str], rows: list[list[str]]) -> str:
     return "\n".join([*lines, *("| " + " | ".join(row) + " |" for row in rows)]) + "\n"
 
 
+def section(title: str, sources: list[str], about: str, head: list[str], rows: list[list[str]]) -> str:
+    """A section of several results: their sources, what is told about them, and one table; nothing without rows."""
+    if not rows:
+        return ""
+    told = "\n".join(sources)
+    return f"## {title}\n\n{told}\n{about}\n{grid(head, rows)}"
+
+
 def number(value: float | None, digits: int) -> str:
     """A number, or a dash where there is none."""
     return "-" if value is None else f"{value:.{digits}f}"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from formatting import SUCCESS_HEAD, grid, number, paragraph, read, source, success
+from formatting import SUCCESS_HEAD, grid, number, paragraph, read, section, source, success
 
 _TABLES = ("rollout", "baselines", "head", "register", "horizon", "data", "arm")
 _LATER = (
@@ -198,15 +198,12 @@ def rates() -> str:
             planned = number(whole[0], 2) if whole else "-"
             rows.append([task, f"{raw:,.0f}", *cells, planned, str(result["machine"]["torch_threads"])])
             sources.append(source(f"bench_{suffix}", result))
-    if not rows:
-        return ""
     about = paragraph(
         "Environment steps a second in one process, and how many times the raw simulator's; seconds of one plan of 100",
         "samples and 10 steps. Where one thread was used, another process kept the other core busy.",
     )
     head = ["task", "raw simulator", "`make_vec(num_envs=256)`", "`make_vec(num_envs=1024)`", "one plan (s)", "threads"]
-    told = "\n".join(sources)
-    return f"## Speed of every task\n\n{told}\n{about}\n{grid(head, rows)}"
+    return section("Speed of every task", sources, about, head, rows)
 
 
 def thinning() -> str:
@@ -222,15 +219,12 @@ def thinning() -> str:
                 )
                 task = ""
             sources.append(source(f"thinning_{suffix}", result))
-    if not rows:
-        return ""
     about = paragraph(
         "Clouds come in the order of farthest-point sampling, so that a thinner one is each entity's first points",
         "(`gym.make(..., points=1200)`). The same random actions in the same scenes, in whole and in thinner clouds.",
     )
     head = ["task", "points", "steps a second", "reward differs by", "at most", "entities differ by (mm)"]
-    told = "\n".join(sources)
-    return f"## Thinner clouds\n\n{told}\n{about}\n{grid(head, rows)}"
+    return section("Thinner clouds", sources, about, head, rows)
 
 
 def speed() -> str:

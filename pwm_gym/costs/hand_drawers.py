@@ -35,6 +35,7 @@ _CLEARANCE, _GRIP_HEIGHT = 0.08, 0.018
 _IN_GAP, _ABOUT_OBJECT = (0.020, 0.020), (0.008, 0.015)
 _ABOUT = (0.009, 0.010)  # beside and over its place, of a hand that may close
 _SLIPPED = 0.06  # from where the hand closes about an object, of one that it has lost
+_PRESS = 0.5 * (HOLDING[1] + 1.0)  # how far the thumb is told to bend that holds an object, 0 straight to 1
 _SWUNG = 0.076  # from the fingers' face to the thumb opposite to it
 _LIFTED, _CARRIED = 0.06, 0.13  # of an object's lowest point over the ground, and over the tray's floor
 _OFF_GROUND, _OVER_PLACE = 0.02, 0.015
@@ -295,8 +296,7 @@ def _off_grip(name: str) -> Term:
 
 def _off_press(points: Points, info: Info) -> Tensor:
     """How far (B,) the right thumb is told to bend more or less than holds an object."""
-    held = 0.5 * (HOLDING[1] + 1.0)
-    return (hands.bent_thumb("right")(points, info) - held).abs()
+    return (hands.bent_thumb("right")(points, info) - _PRESS).abs()
 
 
 @once

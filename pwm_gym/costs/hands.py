@@ -32,7 +32,6 @@ __all__ = [
     "tool_place",
 ]
 
-
 _PALM = boxes("left_palm")[0][1]  # centre of the palm in its own frame
 _LEAN = atan2(TOOL[0] - _PALM[0], TOOL[2] - _PALM[2])  # of the way from the palm's centre to the tool, from z
 _LOWEST = 0.004  # metres over the ground, under which a hand presses on it

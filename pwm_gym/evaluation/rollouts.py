@@ -15,8 +15,7 @@ from pwm_gym.data.episodes import KINDS, Episode
 from pwm_gym.data.partial import partial_clouds
 from pwm_gym.dynamics.model import WorldModel
 from pwm_gym.dynamics.protocols import MovesArms, MovesFewerPoints
-from pwm_gym.evaluation.joints import joint_positions
-from pwm_gym.scene import PointState, RigidState, Scene, State, batch_state, stack
+from pwm_gym.scene import PointState, RigidState, Scene, State, batch_state, joint_positions, stack
 from pwm_gym.scene.se3 import inverse, matrix_from_pose7, rotation_angle
 
 if TYPE_CHECKING:

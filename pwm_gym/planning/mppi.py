@@ -51,9 +51,9 @@ class MPPIConfig(SamplingConfig):
         return cls(noise=fine, single_component_share=0.45, geometric_scales=True)
 
     @classmethod
-    def hands(cls) -> MPPIConfig:
-        """As :meth:`fine`, for several arms with hands: these keep their posture by themselves, go 3 cm a step at
-        most, and are planned one after the other; fingers bend together.
+    def pair(cls) -> MPPIConfig:
+        """As :meth:`fine`, for several arms whose hands hold one thing together: they keep their posture by themselves,
+        go 3 cm a step at most, in some of the samples the same way; fingers bend together.
         """
         fine = cls.fine()
         moves = replace(fine.noise.translation, bound=0.3)
@@ -61,27 +61,26 @@ class MPPIConfig(SamplingConfig):
         fingers = replace(fine.noise.finger, sigma=(0.5,), correlation=0.97, min_noise_scale=0.03, synergy=0.8)
         noise = replace(fine.noise, translation=moves, rotation=turns, finger=fingers)
         return replace(
-            fine.resize(60),
+            fine,
             noise=noise,
-            iterations=2,
-            in_turn=True,
-            single_arm_share=0.0,
-            single_channel_share=0.4,
-            single_component_share=0.4,
-            posture=True,
-        )
-
-    @classmethod
-    def pair(cls) -> MPPIConfig:
-        """As :meth:`hands`, for hands that hold one thing together: in some of the samples they go the same way."""
-        return replace(
-            cls.hands().resize(100),
-            iterations=1,
-            in_turn=False,
             single_arm_share=0.4,
             together_share=0.3,
             single_channel_share=0.5,
             single_component_share=0.2,
+            posture=True,
+        )
+
+    @classmethod
+    def hands(cls) -> MPPIConfig:
+        """As :meth:`pair`, for hands of which each has something of its own to do: planned one after the other."""
+        return replace(
+            cls.pair().resize(60),
+            iterations=2,
+            in_turn=True,
+            single_arm_share=0.0,
+            together_share=0.0,
+            single_channel_share=0.4,
+            single_component_share=0.4,
         )
 
     @classmethod
@@ -107,8 +106,8 @@ class MPPI(SamplingPlanner[MPPIConfig]):
     ) -> None:
         super().__init__(config, control, device, fixed)
         arms = control.arm_names if config.in_turn else ()
-        turns = [*([None] if config.together_share or not arms else []), *arms]
-        self._scales = [self._noise_scale(control, arm) for arm in turns]  # of each iteration, in turn
+        scales = [self._noise_scale(control, arm) for arm in arms]
+        self._scales = [self._scale, *scales] if config.together_share or not arms else scales  # of each iteration
 
     def _improve(self, mean: Tensor, objective: Objective, generator: torch.Generator) -> Tensor:
         for k in range(self.config.iterations):

@@ -4,6 +4,7 @@ from pwm_gym.scene.cloud import resample_clouds, sample_clouds, sample_surface, 
 from pwm_gym.scene.features import POSE_FEATURES, pose_features
 from pwm_gym.scene.joint import FIXED, FREE, Joint, Mimic
 from pwm_gym.scene.layout import Entity, Layout, Support
+from pwm_gym.scene.positions import joint_positions, within_limits
 from pwm_gym.scene.scene import SCHEMA, Scene, batch_state
 from pwm_gym.scene.state import EntityPoints, PointState, RigidState, State, stack
 
@@ -23,6 +24,7 @@ __all__ = [
     "State",
     "Support",
     "batch_state",
+    "joint_positions",
     "pose_features",
     "resample_clouds",
     "sample_clouds",
@@ -30,4 +32,5 @@ __all__ = [
     "spacing",
     "spread",
     "stack",
+    "within_limits",
 ]

@@ -6,10 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-import numpy as np
-
 from pwm_gym.errors import SceneError
-from pwm_gym.scene.poses import relative, rotation
 
 __all__ = ["FIXED", "FREE", "IDENTITY", "JOINT_KINDS", "Joint", "JointKind", "Mimic", "Pose7"]
 
@@ -87,17 +84,6 @@ class Joint:
     def moves(self) -> bool:
         """Whether it has one degree of freedom."""
         return self.kind in ("prismatic", "revolute")
-
-    @property
-    def told_by_pose(self) -> bool:
-        """Whether a pose tells a turn's position: within half a turn to either side."""
-        return -math.pi < self.lower and self.upper < math.pi
-
-    def position(self, pose: np.ndarray) -> float:
-        """Position, radians or metres, where the entity is at a pose (7,) in its parent's frame; turns up to pi."""
-        local = relative(np.array(self.origin), pose[None])[0]
-        way = local[:3] if self.kind == "prismatic" else rotation(local).as_rotvec()
-        return float(way @ np.array(self.axis))
 
 
 FREE = Joint()

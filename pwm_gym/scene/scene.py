@@ -13,7 +13,7 @@ from pwm_gym.errors import SceneError
 from pwm_gym.files import load_arrays, save_arrays
 from pwm_gym.scene.cloud import resample_clouds
 from pwm_gym.scene.layout import Layout
-from pwm_gym.scene.poses import relative
+from pwm_gym.scene.positions import joint_positions, within_limits
 from pwm_gym.scene.se3 import matrix_from_pose7
 from pwm_gym.scene.state import RigidState
 
@@ -23,7 +23,7 @@ SCHEMA = 2
 """Of scenes, data sets and checkpoints; files of schema 1 (version 0.1) are read, too."""
 _FORMAT = "pwm_gym.scene"
 _REQUIRED = ("clouds", "poses", "goal")
-_SLACK, _SPRING = 0.01, 0.1  # metres or radians, or share of its range, by which a joint may be beyond its limits
+_SEEN = (0.1, 0.01)  # by which a part may seem beyond its limits to a camera: share of its range; metres or radians
 _FIELDS = (*_REQUIRED, "joints", "last_action")
 
 
@@ -113,20 +113,14 @@ class Scene:
 
     def _check_joints(self) -> None:
         """Refuse parts that are beyond their joint's limits; a robot's own links may be anywhere."""
-        for i, entity in enumerate(self.layout):
-            joint = entity.joint
-            if entity.driven or not joint.moves or (joint.kind == "revolute" and not joint.told_by_pose):
-                continue
-            pose = self.poses[0, i]
-            if joint.parent is not None:
-                pose = relative(self.poses[0, self.layout.index(joint.parent)], pose[None])[0]
-            position, slack = joint.position(pose), max(_SLACK, _SPRING * (joint.upper - joint.lower))
-            if not joint.lower - slack <= position <= joint.upper + slack:
-                unit = "m" if joint.kind == "prismatic" else "rad"
-                raise SceneError(
-                    f"scene.poses has {entity.name!r} at {position:.3f} {unit} along its joint; "
-                    f"expected {joint.lower:.3f} to {joint.upper:.3f}"
-                )
+        parts = [i for i, entity in enumerate(self.layout) if entity.joint.moves and not entity.driven]
+        poses = matrix_from_pose7(torch.tensor(self.poses[0], dtype=torch.float64)) if parts else torch.empty(0)
+        for i in parts:
+            name, joint = self.layout.entities[i].name, self.layout.entities[i].joint
+            if joint.kind == "revolute" and not -np.pi < joint.lower <= joint.upper < np.pi:
+                continue  # a pose tells turns of up to half a one to either side
+            position = float(joint_positions(self.layout, poses, i))
+            within_limits(f"the joint of {name!r}", position, joint.lower, joint.upper, *_SEEN)
 
     def coarsen(self, layout: Layout) -> Scene:
         """The same scene with the (fewer) points of ``layout``."""

@@ -9,10 +9,18 @@ from pwm_gym.dynamics import build_model
 from pwm_gym.errors import SceneError
 from pwm_gym.evaluation import evaluate_rollouts, long_rollouts, predict, validation_metrics
 from pwm_gym.evaluation.floors import chaos_floor, in_units_of_chaos, nudged, sampling_floor
-from pwm_gym.evaluation.joints import joint_positions
 from pwm_gym.evaluation.rollouts import OBSERVED, Rollouts, joint_errors, position_errors, rotation_errors
 from pwm_gym.robots import Control
-from pwm_gym.scene import Joint, Layout, PointState, RigidState, Scene, batch_state, sample_clouds
+from pwm_gym.scene import (
+    Joint,
+    Layout,
+    PointState,
+    RigidState,
+    Scene,
+    batch_state,
+    joint_positions,
+    sample_clouds,
+)
 from pwm_gym.scene.se3 import matrix_from_pose7, pose7_from_matrix, rotation_from_vector
 from pwm_gym.tasks import get_task
 
@@ -237,9 +245,9 @@ def test_positions_of_joints_are_read_off_poses():
 @pytest.mark.parametrize(
     ("drawer", "lid", "told"),
     [
-        (0.3, 0.4, r"'drawer' at 0\.300 m along its joint; expected 0\.000 to 0\.200"),
-        (-0.1, 0.4, r"'drawer' at -0\.100 m along its joint"),
-        (0.1, 2.0, r"'lid' at 2\.000 rad along its joint"),
+        (0.3, 0.4, r"the joint of 'drawer' is at 0\.3000; expected 0\.0000 to 0\.2000"),
+        (-0.1, 0.4, r"the joint of 'drawer' is at -0\.1000; expected 0\.0000"),
+        (0.1, 2.0, r"the joint of 'lid' is at 2\.0000; expected -2\.0000 to 0\.5000"),
     ],
 )
 def test_scenes_whose_parts_are_beyond_their_limits_are_refused(drawer, lid, told):

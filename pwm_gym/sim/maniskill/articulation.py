@@ -7,13 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from pwm_gym.errors import SceneError
+from pwm_gym.scene import within_limits
 from pwm_gym.scene.poses import compose, relative, rotation
 from pwm_gym.sim.maniskill.poses import pose7
 
 __all__ = ["articulated_links", "restore_articulations"]
-
-_BEYOND = 0.02  # of a joint's range, by which a scene may exceed its limits: PhysX does, too
 
 
 def articulated_links(scene: Any, robot: Any) -> dict[str, Any]:
@@ -55,7 +53,7 @@ def restore_articulations(
             fixed = pose7(joint.parent_link.entity.pose)
             position = _position(joint, fixed if parent is None else now[parent], now[entity])
             last = _position(joint, fixed if parent is None else before[parent], before[entity])
-            positions[k] = _within(entity, position, joint.limits[0])
+            positions[k] = within_limits(f"the joint of {entity!r}", position, *map(float, joint.limits[0]))
             velocities[k] = (position - last) * rate
         articulation.set_qpos(positions)
         articulation.set_qvel(velocities)
@@ -68,14 +66,6 @@ def _position(joint: Any, parent: np.ndarray, child: np.ndarray) -> float:
     if joint.type == "prismatic":
         return float(moved[0])
     return float(rotation(moved).as_rotvec()[0])
-
-
-def _within(entity: str, position: float, limits: np.ndarray) -> float:
-    low, high = map(float, limits)
-    slack = _BEYOND * (high - low) if np.isfinite(high - low) else 0.0
-    if not low - slack <= position <= high + slack:
-        raise SceneError(f"the joint of {entity!r} is at {position:.4f}; expected {low:.4f} to {high:.4f}")
-    return float(np.clip(position, low, high))
 
 
 def _sapien_pose(pose: np.ndarray) -> Any:

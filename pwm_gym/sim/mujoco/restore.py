@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pwm_gym.errors import SceneError
+from pwm_gym.scene import within_limits
 from pwm_gym.scene.poses import rotation
 
 __all__ = ["JointSolver", "place_mocaps", "set_free_velocity"]
@@ -17,7 +18,6 @@ _STEPS = 30  # of Gauss-Newton; a single joint needs one, a chain with loops a h
 _SOLVED = 1e-12  # metres and radians of a step that ends it
 _DAMPING = 1e-12
 _OFF = (0.02, 0.1)  # metres and radians by which a body may miss its pose: models predict what joints do not allow
-_BEYOND = 0.02  # of a joint's range, by which a scene may exceed its limits: contacts push it there, too
 
 
 def set_free_velocity(data: Any, address: int, poses: np.ndarray, rate: float) -> None:
@@ -113,13 +113,10 @@ class JointSolver:
         for joint in {*model.dof_jntid[self.dofs].tolist()}:
             if not model.jnt_limited[joint] or model.jnt_dofadr[joint] not in _scalar_dofs(model):
                 continue
-            low, high = model.jnt_range[joint]
+            low, high = map(float, model.jnt_range[joint])
             address = model.jnt_qposadr[joint]
-            position, slack = float(data.qpos[address]), _BEYOND * (high - low)
-            if not low - slack <= position <= high + slack:
-                name = model.joint(joint).name or model.body(int(model.jnt_bodyid[joint])).name
-                raise SceneError(f"joint {name!r} is at {position:.4f}; expected {low:.4f} to {high:.4f}")
-            data.qpos[address] = np.clip(position, low, high)
+            name = model.joint(joint).name or model.body(int(model.jnt_bodyid[joint])).name
+            data.qpos[address] = within_limits(f"joint {name!r}", float(data.qpos[address]), low, high)
 
     def _check(self, data: Any, poses: np.ndarray) -> None:
         for body, pose in zip(self.bodies, poses, strict=True):
