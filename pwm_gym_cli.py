@@ -11,7 +11,9 @@ import difflib
 import errno
 import importlib
 import importlib.util
+import os
 import re
+import select
 import shutil
 import sys
 import textwrap
@@ -50,6 +52,34 @@ _COLUMN = 14  # of the table of commands
 
 def main(args: Sequence[str] | None = None) -> None:
     """Run a subcommand; errors about its input are one line, without a traceback."""
+    try:
+        _tell(args)
+    except BrokenPipeError:
+        if not _reader_left():  # a worker of the command's own
+            raise
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python flushes once more when it ends
+        raise SystemExit(1) from None
+
+
+def _tell(args: Sequence[str] | None) -> None:
+    """Run a subcommand, and write all that it printed."""
+    try:
+        _main(args)
+    except SystemExit as end:
+        if not end.code:
+            sys.stdout.flush()
+        raise
+    sys.stdout.flush()
+
+
+def _reader_left() -> bool:
+    """Whether nobody reads the output any more: ``pwm-gym rank --help | head``."""
+    watched = select.poll()
+    watched.register(sys.stdout.fileno(), 0)
+    return any(what & select.POLLERR for _, what in watched.poll(0))
+
+
+def _main(args: Sequence[str] | None) -> None:
     given = list(sys.argv[1:] if args is None else args)
     if not given:
         print(_help(), file=sys.stderr)

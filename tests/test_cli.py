@@ -1,4 +1,5 @@
 import json
+import os
 import re
 import shutil
 import subprocess
@@ -10,6 +11,7 @@ import pytest
 from PIL import Image
 
 import pwm_gym
+import pwm_gym_cli
 from pwm_gym.cli import main
 from pwm_gym.data.episodes import read_shard, write_shard
 from pwm_gym.dynamics.checkpoint import default_checkpoints
@@ -74,6 +76,27 @@ finally:
 """
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
     assert told in run.stdout and run.stdout.endswith("[]\n"), run.stderr
+
+
+@pytest.mark.parametrize("args", [["--help"], ["average", "--help"], ["envs"]])
+def test_output_that_nobody_reads_any_more_ends_quietly(args):
+    read, write = os.pipe()
+    os.close(read)
+    command = [sys.executable, "-c", "import pwm_gym_cli; pwm_gym_cli.main()", *args]
+    try:
+        run = subprocess.run(command, stdout=write, stderr=subprocess.PIPE, text=True, timeout=60)
+    finally:
+        os.close(write)
+    assert run.returncode == 1 and "BrokenPipe" not in run.stderr
+
+
+def test_a_broken_pipe_of_a_worker_is_an_error(monkeypatch):
+    def broken(name, args):
+        raise BrokenPipeError("of a worker")
+
+    monkeypatch.setattr(pwm_gym_cli, "_run", broken)
+    with pytest.raises(BrokenPipeError, match="of a worker"):
+        pwm_gym_cli.main(["envs"])
 
 
 def test_without_a_command_help_goes_to_the_other_stream(capsys):

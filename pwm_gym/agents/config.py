@@ -48,6 +48,9 @@ class AgentConfig:
     """Points of a scene; 0 takes the task's. Rewards are formed of these points, too."""
     scenes: int = 0
     """Initial scenes, drawn from the simulator's training seeds; 0 takes the checkpoint's own."""
+    underway: float = 0.0
+    """Share of :attr:`scenes` that begin where the scripted expert is after a number of steps: ends of long tasks are
+    learned from the first update on."""
     episode_steps: int = 50
     """Longer episodes are truncated; what would come after counts all the same."""
     discount: float = 0.9
@@ -87,6 +90,10 @@ class AgentConfig:
         }
         for name, bound in {**least, "snapshot_every": 0}.items():
             check_whole(name, getattr(self, name), bound)
+        if not 0.0 <= self.underway <= 1.0:
+            raise PwmGymError(f"underway={self.underway}; expected a share, 0 to 1")
+        if self.underway and not (self.scenes and self.world == "model"):
+            raise PwmGymError(f"underway={self.underway}; expected scenes of a model's episodes that it is a share of")
         for name, top in (("discount", 1.0), ("learning_rate", 1.0), ("exploration", 10.0)):
             if not 0.0 < getattr(self, name) < top:
                 raise PwmGymError(f"{name}={getattr(self, name)}; expected a number between 0 and {top:g}")

@@ -57,8 +57,9 @@ def train(task: str, out: Path, config: AgentConfig | None = None, progress: boo
     """
     config, known = config or AgentConfig(), get_task(task)
     prepare_process(config.threads)
-    spent = _claim(out, known, config)
+    spent, begun = _claim(out, known, config), time.perf_counter()
     scenes = _scenes(known, config, out)
+    spent += time.perf_counter() - begun
     with closing(make_world(known, config, scenes)) as world:
         learner = _learner(known, config, world, out)
         learner.set_logger(configure(str(out / "tensorboard"), ["tensorboard"]))
@@ -89,7 +90,7 @@ def _scenes(task: Task, config: AgentConfig, out: Path) -> SceneBank | None:
         return None
     path = out / _SCENES
     if not path.exists():
-        simulated_bank(task, config.scenes).save(path)
+        simulated_bank(task, config.scenes, underway=config.underway).save(path)
     return SceneBank.load(path)
 
 

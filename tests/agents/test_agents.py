@@ -85,16 +85,16 @@ def _far(one, other):
 def test_scenes_are_drawn_once_a_run(monkeypatch, tmp_path):
     drawn = []
 
-    def draw(task, count):
-        drawn.append(count)
+    def draw(task, count, underway):
+        drawn.append((count, underway))
         bank = load_checkpoint(resolve("default", task.name)).bank(task.name)
         return replace(bank, **{k: getattr(bank, k)[:count] for k in ("poses", "goals", "combination", "joints")})
 
     monkeypatch.setattr(training, "simulated_bank", draw)
-    config = replace(SMALL, scenes=2)
+    config = replace(SMALL, scenes=2, underway=0.25)
     for _ in range(2):
         bank = training._scenes(TASK, config, tmp_path)
-    assert drawn == [2] and len(bank) == 2
+    assert drawn == [(2, 0.25)] and len(bank) == 2
     with closing(make_world(TASK, config, bank)) as world:
         goals = world.reset()[:, -3:]
     assert {tuple(goal) for goal in goals} == {tuple(goal) for goal in bank.goals}
