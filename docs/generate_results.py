@@ -174,9 +174,11 @@ def _rollouts(task: str, name: str) -> str:
     result = read(name)
     if result is None:
         return ""
-    objects = [e.name for e in get_task(task.partition(",")[0]).layout if not e.driven]
+    layout = get_task(task.partition(",")[0]).layout
+    objects = [e.name for e in layout if not e.driven]
     first_row = result["rows"]["compact"]["all"]["entities"]
     joints = [(k, measure) for k in objects for measure in _JOINTS if measure in first_row[k]]
+    halves = [e.name for e in layout if e.loose and "half" in first_row[e.name]["position_mm"]]
     rows = []
     for split in ("all", "expert", "randomised", "practice"):
         for key, label in _MODELS.items():
@@ -186,10 +188,12 @@ def _rollouts(task: str, name: str) -> str:
             first = f"{split} ({row['episodes']})" if key == "compact" else ""
             cells = [number(row["chamfer_l1"], 4), number(row["reward_correlation"], 3)]
             cells += [_error(row["entities"][k], "position_mm", "60") for k in objects]
+            cells += [_error(row["entities"][k], "position_mm", "half") for k in halves]
             cells += [_error(row["entities"][k], measure, "last") for k, measure in joints]
             rows.append([first, label, *cells])
     head = ["episodes", "model", "Chamfer L1 (m)", "reward correlation"]
     head += [f"{name} at 60, mean / median (mm)" for name in objects]
+    head += [f"{name} at half, mean / median (mm)" for name in halves]
     head += [f"{name}'s joint at the end, mean / median ({_JOINTS[measure]})" for name, measure in joints]
     best, floors, told = result["rows"]["compact"]["all"], result["floors"], ""
     if floors:

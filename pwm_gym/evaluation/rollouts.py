@@ -164,14 +164,15 @@ def canonical_clouds(dataset: Dataset, episodes: Sequence[Episode]) -> Tensor:
 
 
 def at_steps(errors: np.ndarray, lengths: np.ndarray) -> dict[str, dict[str, float]]:
-    """Mean, median and count of errors (M, H) at :data:`STEPS` and at each episode's last step.
+    """Mean, median and count of errors (M, H) at :data:`STEPS`, at half of each episode and at its last step.
 
     Args:
         errors: after each rollout step, which count from 1.
         lengths: steps of each episode (M,); those that are too short for a step are left out.
     """
     columns = {str(k): errors[lengths >= k, k - 1] for k in STEPS if k <= errors.shape[1]}
-    columns["last"] = errors[np.arange(len(errors)), lengths - 1]
+    for name, after in (("half", (lengths + 1) // 2), ("last", lengths)):
+        columns[name] = errors[np.arange(len(errors)), after - 1]
     return {
         k: {"mean": float(v.mean()), "median": float(np.median(v)), "episodes": len(v)}
         for k, v in columns.items()

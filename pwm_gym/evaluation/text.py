@@ -10,7 +10,7 @@ from pwm_gym.tasks import Task
 
 __all__ = ["planning_text", "report_text", "shared_text", "trained_text"]
 
-_COLUMNS = ("10", "30", "60", "last")
+_COLUMNS = ("10", "30", "60", "half", "last")
 
 
 def report_text(task: Task, rows: Mapping[str, Any], onsets: Mapping[str, Any], floors: Mapping[str, Any]) -> str:
@@ -48,7 +48,7 @@ def _scene_lines(tables: Mapping[str, Any]) -> list[str]:
 def _object_lines(name: str, tables: Mapping[str, Any], chaos: Mapping[str, Any] | None) -> list[str]:
     """One object's errors: position, rotation, joint where it has one, and position in units of chaos."""
     kinds = [k for k in next(iter(tables.values()))["entities"][name] if k != "rotation_deg"]
-    head = "".join(f" {'@' + k if k != 'last' else k:>8s}" for k in _COLUMNS)
+    head = "".join(f" {'@' + k if k.isdigit() else k:>8s}" for k in _COLUMNS)
     lines = [f"  {name}: mean error after steps{head}   median, last   turned, last (deg)"]
     for row, table in tables.items():
         entity = table["entities"][name]

@@ -9,7 +9,7 @@ from pwm_gym.dynamics import build_model
 from pwm_gym.errors import SceneError
 from pwm_gym.evaluation import evaluate_rollouts, long_rollouts, predict, validation_metrics
 from pwm_gym.evaluation.floors import chaos_floor, in_units_of_chaos, nudged, sampling_floor
-from pwm_gym.evaluation.rollouts import OBSERVED, Rollouts, joint_errors, position_errors, rotation_errors
+from pwm_gym.evaluation.rollouts import OBSERVED, Rollouts, at_steps, joint_errors, position_errors, rotation_errors
 from pwm_gym.robots import Control
 from pwm_gym.scene import (
     Joint,
@@ -138,7 +138,7 @@ def test_the_table_of_a_known_error(dataset):
     assert 0.002 < row["chamfer_l1"] <= 0.003 + 1e-6
     assert row["chamfer_l2"] <= row["chamfer_l1"] + 1e-6
     for name in dataset.layout.names:
-        for step in ("10", "30", "60", "last"):
+        for step in ("10", "30", "60", "half", "last"):
             assert row["entities"][name]["position_mm"][step]["mean"] == pytest.approx(3.0, abs=0.01)
     assert len(row["chamfer_l1_by_step"]) == 78
 
@@ -153,7 +153,7 @@ def test_trajectories_shorter_than_a_step_are_left_out_and_counted(dataset):
     short = replace(dataset, episodes=(cut(practice[0], 31), practice[1], cut(practice[1], 8)))
     row = evaluate_rollouts(Replay(short, error=0.001), TASK, short, progress=False)["practice"]
     position = row["entities"]["cube"]["position_mm"]
-    assert {k: v["episodes"] for k, v in position.items()} == {"10": 2, "30": 1, "60": 1, "last": 3}
+    assert {k: v["episodes"] for k, v in position.items()} == {"10": 2, "30": 1, "60": 1, "half": 3, "last": 3}
     assert row["mean_steps"] == pytest.approx((29 + 78 + 6) / 3)
 
 
@@ -161,7 +161,15 @@ def test_a_data_set_of_short_trajectories_alone_has_its_table(dataset):
     practice = dataset.of_kinds(("practice",)).episodes
     short = replace(dataset, episodes=(cut(practice[0], 14),))
     row = evaluate_rollouts(Replay(short, error=0.001), TASK, short, progress=False)["practice"]
-    assert set(row["entities"]["cube"]["position_mm"]) == {"10", "last"}
+    assert set(row["entities"]["cube"]["position_mm"]) == {"10", "half", "last"}
+
+
+def test_errors_are_told_at_steps_that_episodes_reach_at_half_of_each_and_at_its_end():
+    errors = np.arange(1.0, 41.0)[None].repeat(3, 0)
+    told = at_steps(errors, np.array([40, 13, 1]))
+    assert {k: v["episodes"] for k, v in told.items()} == {"10": 2, "30": 1, "half": 3, "last": 3}
+    assert told["half"] == {"mean": (20 + 7 + 1) / 3, "median": 7.0, "episodes": 3}
+    assert told["last"]["mean"] == (40 + 13 + 1) / 3
 
 
 def test_a_model_that_blows_up_is_counted_not_hidden(dataset):
@@ -203,7 +211,13 @@ def test_the_chaos_floor(train_split, simulator):
     floor = chaos_floor(simulator, TASK, replace(train_split, episodes=practice), progress=False)
     assert 1e-5 < floor["chamfer_l1"] < 0.02
     cube = floor["objects"]["cube"]
-    assert floor["chamfer_l1"] == cube["chamfer_l1"] and cube["position_mm"].keys() == {"10", "30", "60", "last"}
+    assert floor["chamfer_l1"] == cube["chamfer_l1"] and cube["position_mm"].keys() == {
+        "10",
+        "30",
+        "60",
+        "half",
+        "last",
+    }
     assert 0.1 < cube["position_mm"]["last"]["mean"] < 300
 
 
