@@ -53,6 +53,8 @@ class Plan:
     """Rounds of sampling an action."""
     chunk: int = 1
     """Actions between two looks: 1 is closed loop, 0 looks at the first scene alone (open loop)."""
+    to_the_end: bool = False
+    """Whether episodes go on after success, up to the limit: the table then tells of how many it lasted, too."""
     objects: str = ""
     """What episodes draw their objects from, where they differ: one of the task's sets, such as "unseen", or an
     object's name; the task's default if not given."""
@@ -113,6 +115,8 @@ class Plan:
         facts = {"planner": planner, "settings": asdict(config), **{name: getattr(self, name) for name in names}}
         if self.starts:
             facts["starts"] = self.starts
+        if self.to_the_end:
+            facts["to_the_end"] = True
         recipe = {"task": self.task, "checkpoint": digest(path), "max_steps": most, **limits, **facts}
         if self.guide is not None:
             recipe["guide"] = facts["guide"] = digest(self.guide)
@@ -123,6 +127,8 @@ class Plan:
             _release(self)
         table = planning_table(runs)
         table["at_reset"] = len(seeds) - len(runs)
+        if self.to_the_end:
+            table["successes_at_the_end"] = sum(run.holds for run in runs)
         mode = {0: "open loop", 1: "closed loop"}.get(self.chunk, f"chunks of {self.chunk}")
         print_success(f"{self.task}, {mode} in the simulator", table)
         failed = [run for run in runs if not run.success]
@@ -216,7 +222,7 @@ def _run_one(command: Plan, seed: int) -> Run:
     from pwm_gym.tasks import get_task
 
     most = command._most(get_task(command.task))
-    return execute(_twin(command), _agent(command), seed, most, command.chunk)
+    return execute(_twin(command), _agent(command), seed, most, command.chunk, to_the_end=command.to_the_end)
 
 
 def _release(command: Plan) -> None:
@@ -233,6 +239,8 @@ def print_success(title: str, table: dict[str, Any]) -> None:
     latency, steps = table["plan_seconds"], table["mean_steps_of_successes"]
     print(f"\n{title}")
     print(f"  success          {table['successes']}/{table['episodes']}  (95 % interval {low:.0%} to {high:.0%})")
+    if (held := table.get("successes_at_the_end")) is not None:
+        print(f"  at the last step {held}/{table['episodes']}")
     print(f"  steps to success {steps:.1f} on average" if steps else "  steps to success -")
     print(f"  one action       {latency['median']:.2f} s median, {latency['p95']:.2f} s 95th percentile")
     for stage, count in table["stages"].items():

@@ -198,7 +198,7 @@ def planning_table(runs: Sequence[Run]) -> dict[str, Any]:
         "episodes": len(runs),
         "successes": len(wins),
         "interval": wilson(len(wins), len(runs)),
-        "mean_steps_of_successes": float(np.mean([r.steps for r in wins])) if wins else None,
+        "mean_steps_of_successes": float(np.mean([r.steps_to_success for r in wins])) if wins else None,
         "plan_seconds": {
             "median": float(np.median(latencies)),
             "mean": float(latencies.mean()),
@@ -213,7 +213,7 @@ def planning_table(runs: Sequence[Run]) -> dict[str, Any]:
 
 def _row(run: Run) -> dict[str, Any]:
     ended = {"stage": run.stages[-1]} if run.stages else {}
-    return {"seed": run.seed, "success": run.success, "steps": run.steps, **ended}
+    return {"seed": run.seed, "success": run.success, "steps": run.steps_to_success or run.steps, **ended}
 
 
 def _by_stage(runs: Sequence[Run]) -> dict[str, int]:

@@ -48,6 +48,7 @@ def execute(
     max_steps: int = 100,
     chunk: int = 1,
     observe: Callable[[Scene], Scene] | None = None,
+    to_the_end: bool = False,
 ) -> Run:
     """Plan and execute until success or ``max_steps``.
 
@@ -61,6 +62,7 @@ def execute(
         max_steps: actions at most.
         chunk: actions between two looks: 1 is closed loop, 0 looks at the first scene alone (open loop).
         observe: what the agent sees of a scene; None shows all of it.
+        to_the_end: whether to go on after success, up to ``max_steps``: does it last? Twins can.
 
     Raises:
         PwmGymError: a negative chunk, or no steps.
@@ -75,7 +77,7 @@ def execute(
     at_reset = bool(info["success"])
     scenes: list[Scene] = [base.scene(truth=True)]
     shown: Scene = base.scene()
-    actions, rewards, seconds, predicted = [], [], [], []
+    actions, rewards, solved, seconds, predicted = [], [], [], [], []
     for step in range(max_steps):
         seen = None
         if step == 0 or (chunk and step % chunk == 0):
@@ -87,8 +89,9 @@ def execute(
         _, reward, terminated, truncated, info = env.step(action)
         actions.append(action)
         rewards.append(float(reward))
+        solved.append(bool(info["success"]))
         scenes.append(base.scene(truth=True))
-        if terminated or truncated:
+        if truncated or (terminated and not (solved[-1] and to_the_end)):
             break
     rules = base.rules if isinstance(base, Judged) else None
     judged = _judged(agent, rules, scenes, stack([s[0] for s in predicted], 0), np.stack(actions))
@@ -96,9 +99,10 @@ def execute(
         start=scenes[0],
         shown=None if np.array_equal(shown.clouds, scenes[0].clouds) else shown,
         seed=seed,
-        success=bool(info["success"]),
+        success=any(solved),
         actions=np.stack(actions),
         rewards=np.array(rewards),
+        solved=np.array(solved),
         plan_seconds=np.array(seconds),
         poses=np.stack([s.poses[0] for s in scenes]),
         chunk=chunk,

@@ -53,7 +53,7 @@ class Run:
     seed: int
     """Of the episode and of the planner's noise."""
     success: bool
-    """Whether the environment called it a success."""
+    """Whether the environment called any step a success."""
     actions: np.ndarray
     """(T, A) in [-1, 1]."""
     rewards: np.ndarray
@@ -78,6 +78,8 @@ class Run:
     """What planned: model, planner and cost; ``reward_cost`` names the cost that the rewards are of."""
     shown: Scene | None = None
     """The first scene as it was shown, where its clouds are not the real ones; ``predicted`` moves those."""
+    solved: np.ndarray | None = None
+    """Whether the environment called each step (T,) a success; None in records of earlier versions, which end there."""
 
     def __post_init__(self) -> None:
         """Check the arrays' lengths."""
@@ -91,6 +93,8 @@ class Run:
             "predicted": (steps, entities, 7),
             "predicted_rewards": (steps,),
         }
+        if self.solved is not None:
+            shapes["solved"] = (steps,)
         for name, shape in shapes.items():
             if np.shape(getattr(self, name)) != shape:
                 raise PwmGymError(f"run.{name} has shape {np.shape(getattr(self, name))}; expected {shape}")
@@ -105,6 +109,18 @@ class Run:
     def steps(self) -> int:
         """Actions executed, T."""
         return len(self.actions)
+
+    @property
+    def steps_to_success(self) -> int | None:
+        """Actions until the first success; None without any."""
+        if not self.success:
+            return None
+        return self.steps if self.solved is None else int(np.argmax(self.solved)) + 1
+
+    @property
+    def holds(self) -> bool:
+        """Whether the last step is a success: one may be passed through."""
+        return self.success if self.solved is None else bool(self.solved[-1])
 
     @property
     def stages(self) -> tuple[str, ...]:
@@ -141,6 +157,8 @@ class Run:
         arrays: dict[str, Any] = {name: getattr(self, name) for name in _ARRAYS}
         both = [source[name] for source in (self.terms, self.predicted_terms) for name in self.terms]
         arrays["terms"] = np.stack(both) if both else np.empty(0)
+        if self.solved is not None:
+            arrays["solved"] = self.solved
         save_arrays(path, {**arrays, **parts}, header)
 
     @classmethod
@@ -164,6 +182,7 @@ class Run:
         return cls(
             start=_scene(header, header.layout, found, _START),
             shown=shown,
+            solved=found.get("solved"),
             settings=header.settings,
             terms=dict(zip(names, values, strict=False)),
             predicted_terms=dict(zip(names, values[len(names) :], strict=False)),

@@ -6,7 +6,7 @@ import pytest
 
 from pwm_gym.errors import PwmGymError
 from pwm_gym.evaluation import planning_table, run_episodes
-from pwm_gym.planning import execute
+from pwm_gym.planning import Run, execute
 from pwm_gym.scene import batch_state
 from pwm_gym.tasks import get_task
 
@@ -105,6 +105,34 @@ def test_an_agent_may_see_less_than_the_scene(counter):
     agent = Recorder()
     execute(counter, agent, 2, observe=lambda scene: replace(scene, last_action=10 + scene.last_action))
     assert agent.scenes == [10, 11]
+
+
+class Passing(Counter):
+    """A success at one step alone, as something that slides through its goal."""
+
+    def step(self, action):
+        number, reward, _, truncated, _ = super().step(action)
+        success = self._step == self._goal
+        return number, reward, success, truncated, {"success": success}
+
+
+@pytest.mark.parametrize(("world", "lasts"), [(Counter, True), (Passing, False)])
+def test_to_the_end_tells_whether_success_lasts(scene, tmp_path, world, lasts):
+    run = execute(world(scene), Recorder(), seed=3, max_steps=6, to_the_end=True)
+    assert run.steps == 6 and run.success and run.steps_to_success == 3 and run.holds is lasts
+    assert run.solved.tolist() == [False, False, True, *[lasts] * 3]
+    run.save(tmp_path / "run.npz")
+    loaded = Run.load(tmp_path / "run.npz")
+    assert np.array_equal(loaded.solved, run.solved)
+    table = planning_table([run])
+    assert table["successes"] == 1 and table["mean_steps_of_successes"] == 3.0 and table["runs"][0]["steps"] == 3
+
+
+def test_a_record_of_an_earlier_version_ends_with_its_success(counter):
+    run = replace(execute(counter, Recorder(), seed=3), solved=None)
+    assert run.holds and run.steps_to_success == 3
+    failed = replace(execute(counter, Recorder(), seed=50, max_steps=4), solved=None)
+    assert not failed.holds and failed.steps_to_success is None
 
 
 def test_it_stops_at_the_step_limit(counter):
