@@ -47,7 +47,7 @@ pwm-gym collect --task TwoArmBoxCleanup --episodes 160 --held-out 14 --practice 
 pwm-gym collect --task TwoArmDrawerCleanup --episodes 150 --held-out 14 --practice 0.4 --shard 10
 pwm-gym train --data data-sets/TwoArmBoxCleanup data-sets/TwoArmDrawerCleanup --out runs/hands-particleformer \\
     --model paper-small --settings rigid False entity_features True --view partial --loss hybrid --loss-points 64 \\
-    --learning-rate 0.002 --threads 1 --phases 1 300 32 3 80 32 5 40 32
+    --learning-rate 0.002 --threads 1 --phases 1 180 32 3 40 24 5 20 24
 ```
 """
 

@@ -53,8 +53,9 @@ def number(value: float | None, digits: int) -> str:
 def success(result: dict[str, Any]) -> list[str]:
     """Cells of a planning result, as :data:`SUCCESS_HEAD` names them behind its first."""
     low, high = result["interval"]
+    held = result.get("successes_at_the_end")
     return [
-        f"{result['successes']} / {result['episodes']}",
+        f"{result['successes']} / {result['episodes']}" + ("" if held is None else f", {held} at the last step"),
         f"{low:.0%} to {high:.0%}",
         number(result["mean_steps_of_successes"], 0),
         f"{result['plan_seconds']['median']:.2f}",

@@ -42,7 +42,13 @@ def _kills(result: dict[str, Any]) -> str:
 
 def _soak(result: dict[str, Any]) -> str:
     rows = [
-        [name, f"{row['steps']:,}", number(row["start_mib"], 0), number(row["end_mib"], 0), f"{row['slope_mib']:+.1f}"]
+        [
+            name,
+            f"{row['steps']:,}",
+            number(row["start_mib"], 0),
+            number(row["end_mib"], 0),
+            f"{row['slope_mib']:+.1f}".replace("-0.0", "+0.0"),
+        ]
         for name, row in result["subjects"].items()
     ]
     about = paragraph(f"{result['steps']:,} vector steps of {result['num_envs']} environments: resident memory.")

@@ -51,6 +51,10 @@ class AgentConfig:
     underway: float = 0.0
     """Share of :attr:`scenes` that begin where the scripted expert is after a number of steps: ends of long tasks are
     learned from the first update on."""
+    demonstrations: str = ""
+    """Of PPO: folder of a data set whose demonstrations the policy imitates before it learns; none where empty."""
+    imitation_steps: int = 3000
+    """Optimiser steps of that."""
     episode_steps: int = 50
     """Longer episodes are truncated; what would come after counts all the same."""
     discount: float = 0.9
@@ -85,6 +89,7 @@ class AgentConfig:
             "scenes": 0,
             "rollout": 0,
             "episode_steps": 1,
+            "imitation_steps": 1,
             "width": 1,
             "threads": 1,
         }
@@ -94,6 +99,8 @@ class AgentConfig:
             raise PwmGymError(f"underway={self.underway}; expected a share, 0 to 1")
         if self.underway and not (self.scenes and self.world == "model"):
             raise PwmGymError(f"underway={self.underway}; expected scenes of a model's episodes that it is a share of")
+        if self.demonstrations and self.algorithm != "ppo":
+            raise PwmGymError(f"demonstrations={self.demonstrations!r} with {self.algorithm}; expected ppo")
         for name, top in (("discount", 1.0), ("learning_rate", 1.0), ("exploration", 10.0)):
             if not 0.0 < getattr(self, name) < top:
                 raise PwmGymError(f"{name}={getattr(self, name)}; expected a number between 0 and {top:g}")

@@ -15,6 +15,7 @@ from stable_baselines3.common.logger import configure
 from tqdm import tqdm
 
 from pwm_gym.agents.config import AgentConfig
+from pwm_gym.agents.imitation import CriticFirst, imitate
 from pwm_gym.agents.policy import algorithm_class, policy_name, policy_settings, save_agent
 from pwm_gym.agents.worlds import make_world
 from pwm_gym.collection.scenes import simulated_bank
@@ -61,11 +62,14 @@ def train(task: str, out: Path, config: AgentConfig | None = None, progress: boo
     scenes = _scenes(known, config, out)
     spent += time.perf_counter() - begun
     with closing(make_world(known, config, scenes)) as world:
-        learner = _learner(known, config, world, out)
+        begun = time.perf_counter()
+        learner = _learner(known, config, world, out, progress)
+        spent += time.perf_counter() - begun
         learner.set_logger(configure(str(out / "tensorboard"), ["tensorboard"]))
         saver = _Saver(learner, known, config, out, spent, progress)
         if (left := config.steps - learner.num_timesteps) > 0:
-            learner.learn(left, callback=saver, reset_num_timesteps=False)
+            first = [CriticFirst()] if config.demonstrations and not learner.num_timesteps else []
+            learner.learn(left, callback=[saver, *first], reset_num_timesteps=False)
         saver.save()
     return saver.told()
 
@@ -94,8 +98,8 @@ def _scenes(task: Task, config: AgentConfig, out: Path) -> SceneBank | None:
     return SceneBank.load(path)
 
 
-def _learner(task: Task, config: AgentConfig, world: Any, out: Path) -> BaseAlgorithm:
-    """A new algorithm, or the one that a killed run left."""
+def _learner(task: Task, config: AgentConfig, world: Any, out: Path, progress: bool) -> BaseAlgorithm:
+    """A new algorithm, whose policy imitates demonstrations where there are some, or the one that a killed run left."""
     kind: Any = algorithm_class(config.algorithm)
     if (path := out / _STATE).exists():
         try:
@@ -103,7 +107,10 @@ def _learner(task: Task, config: AgentConfig, world: Any, out: Path) -> BaseAlgo
         except Exception as error:  # of a pickle: whatever it may be
             raise CheckpointError(f"{path} is truncated or foreign ({error}); delete it to start anew") from error
     shapes = policy_settings(task, config)
-    return kind(policy_name(config), world, policy_kwargs=shapes, **config.settings())
+    learner: BaseAlgorithm = kind(policy_name(config), world, policy_kwargs=shapes, **config.settings())
+    if config.demonstrations:
+        imitate(learner.policy, task, config, progress)
+    return learner
 
 
 class _Saver(BaseCallback):
