@@ -48,13 +48,11 @@ class AgentConfig:
     """Points of a scene; 0 takes the task's. Rewards are formed of these points, too."""
     scenes: int = 0
     """Initial scenes, drawn from the simulator's training seeds; 0 takes the checkpoint's own."""
-    underway: float = 0.0
-    """Share of :attr:`scenes` that begin where the scripted expert is after a number of steps: ends of long tasks are
-    learned from the first update on."""
     demonstrations: str = ""
-    """Of PPO: folder of a data set whose demonstrations the policy imitates before it learns; none where empty."""
-    imitation_steps: int = 3000
-    """Optimiser steps of that."""
+    """Folder of a data set whose demonstrations :attr:`scenes` are drawn from instead; none where empty."""
+    underway: float = 0.5
+    """Share of those scenes that are somewhere in a demonstration, at rest: the end of a long task is learned from the
+    first update on. The others begin where the task does."""
     episode_steps: int = 50
     """Longer episodes are truncated; what would come after counts all the same."""
     discount: float = 0.9
@@ -89,7 +87,6 @@ class AgentConfig:
             "scenes": 0,
             "rollout": 0,
             "episode_steps": 1,
-            "imitation_steps": 1,
             "width": 1,
             "threads": 1,
         }
@@ -97,10 +94,9 @@ class AgentConfig:
             check_whole(name, getattr(self, name), bound)
         if not 0.0 <= self.underway <= 1.0:
             raise PwmGymError(f"underway={self.underway}; expected a share, 0 to 1")
-        if self.underway and not (self.scenes and self.world == "model"):
-            raise PwmGymError(f"underway={self.underway}; expected scenes of a model's episodes that it is a share of")
-        if self.demonstrations and self.algorithm != "ppo":
-            raise PwmGymError(f"demonstrations={self.demonstrations!r} with {self.algorithm}; expected ppo")
+        if self.demonstrations and not (self.scenes and self.world == "model"):
+            told = f"scenes={self.scenes} in the {self.world}"
+            raise PwmGymError(f"demonstrations={self.demonstrations!r} and {told}; expected some scenes in the model")
         for name, top in (("discount", 1.0), ("learning_rate", 1.0), ("exploration", 10.0)):
             if not 0.0 < getattr(self, name) < top:
                 raise PwmGymError(f"{name}={getattr(self, name)}; expected a number between 0 and {top:g}")

@@ -15,12 +15,12 @@ from stable_baselines3.common.logger import configure
 from tqdm import tqdm
 
 from pwm_gym.agents.config import AgentConfig
-from pwm_gym.agents.imitation import CriticFirst, imitate
 from pwm_gym.agents.policy import algorithm_class, policy_name, policy_settings, save_agent
 from pwm_gym.agents.worlds import make_world
 from pwm_gym.collection.scenes import simulated_bank
+from pwm_gym.data import load_split, underway_bank
 from pwm_gym.dynamics import SceneBank, load_checkpoint, resolve
-from pwm_gym.errors import CheckpointError, PwmGymError
+from pwm_gym.errors import CheckpointError, DatasetError, PwmGymError
 from pwm_gym.files import replacing, write_atomically
 from pwm_gym.process import prepare_process
 from pwm_gym.schema import read_json
@@ -62,14 +62,11 @@ def train(task: str, out: Path, config: AgentConfig | None = None, progress: boo
     scenes = _scenes(known, config, out)
     spent += time.perf_counter() - begun
     with closing(make_world(known, config, scenes)) as world:
-        begun = time.perf_counter()
-        learner = _learner(known, config, world, out, progress)
-        spent += time.perf_counter() - begun
+        learner = _learner(known, config, world, out)
         learner.set_logger(configure(str(out / "tensorboard"), ["tensorboard"]))
         saver = _Saver(learner, known, config, out, spent, progress)
         if (left := config.steps - learner.num_timesteps) > 0:
-            first = [CriticFirst()] if config.demonstrations and not learner.num_timesteps else []
-            learner.learn(left, callback=[saver, *first], reset_num_timesteps=False)
+            learner.learn(left, callback=saver, reset_num_timesteps=False)
         saver.save()
     return saver.told()
 
@@ -94,12 +91,26 @@ def _scenes(task: Task, config: AgentConfig, out: Path) -> SceneBank | None:
         return None
     path = out / _SCENES
     if not path.exists():
-        simulated_bank(task, config.scenes, underway=config.underway).save(path)
+        _draw(task, config).save(path)
     return SceneBank.load(path)
 
 
-def _learner(task: Task, config: AgentConfig, world: Any, out: Path, progress: bool) -> BaseAlgorithm:
-    """A new algorithm, whose policy imitates demonstrations where there are some, or the one that a killed run left."""
+def _draw(task: Task, config: AgentConfig) -> SceneBank:
+    """Scenes of the simulator's training seeds, or of a data set's demonstrations.
+
+    Raises:
+        DatasetError: no such data set, or none of its episodes is a demonstration.
+    """
+    if not config.demonstrations:
+        return simulated_bank(task, config.scenes)
+    shown = load_split(config.demonstrations, "train", task.name).of_kinds(("expert", "randomised"))
+    if not shown.episodes:
+        raise DatasetError(f"{config.demonstrations} has no demonstrations in its train split; expected some")
+    return underway_bank(shown, config.scenes, config.underway, config.seed)
+
+
+def _learner(task: Task, config: AgentConfig, world: Any, out: Path) -> BaseAlgorithm:
+    """A new algorithm, or the one that a killed run left."""
     kind: Any = algorithm_class(config.algorithm)
     if (path := out / _STATE).exists():
         try:
@@ -107,10 +118,7 @@ def _learner(task: Task, config: AgentConfig, world: Any, out: Path, progress: b
         except Exception as error:  # of a pickle: whatever it may be
             raise CheckpointError(f"{path} is truncated or foreign ({error}); delete it to start anew") from error
     shapes = policy_settings(task, config)
-    learner: BaseAlgorithm = kind(policy_name(config), world, policy_kwargs=shapes, **config.settings())
-    if config.demonstrations:
-        imitate(learner.policy, task, config, progress)
-    return learner
+    return kind(policy_name(config), world, policy_kwargs=shapes, **config.settings())
 
 
 class _Saver(BaseCallback):

@@ -6,41 +6,33 @@ from contextlib import closing
 
 import numpy as np
 
-from pwm_gym.collection.starts import run_ahead
 from pwm_gym.dynamics import SceneBank
 from pwm_gym.errors import PwmGymError
 from pwm_gym.scene import sample_clouds
 from pwm_gym.seeds import seed_range
-from pwm_gym.sim import Simulator
 from pwm_gym.tasks import Task
 
 __all__ = ["simulated_bank"]
 
 
-def simulated_bank(task: Task, count: int, objects: str | None = None, underway: float = 0.0) -> SceneBank:
-    """Scenes of ``count`` episodes of the task's training seeds: the first, or one that the expert comes to.
+def simulated_bank(task: Task, count: int, objects: str | None = None) -> SceneBank:
+    """The first scenes of ``count`` episodes of the task's training seeds.
 
     Args:
         task: the task.
         count: scenes.
         objects: what episodes draw their objects from, as of :meth:`pwm_gym.tasks.Task.make_simulator`.
-        underway: probability that a scene is where the expert is after a number of steps, drawn up to a
-            demonstration's mean length; one that is solved there gives its first scene.
 
     Raises:
-        PwmGymError: no scenes are asked for, a probability that cannot be, or the task has no such objects.
+        PwmGymError: no scenes are asked for, or the task has no such objects.
     """
     if count < 1:
         raise PwmGymError(f"count={count}; expected at least 1")
-    if not 0.0 <= underway <= 1.0:
-        raise PwmGymError(f"underway={underway}; expected a probability")
     clouds: dict[tuple[str, ...], np.ndarray] = {}
     poses, goals, joints, combination = [], [], [], []
     with closing(task.make_simulator(objects)) as simulator:
         for seed in seed_range("train", count):
             simulator.reset(seed)
-            if underway:
-                _run_ahead(simulator, task, seed, underway)
             assets = simulator.assets()
             if assets not in clouds:
                 clouds[assets] = sample_clouds(simulator.meshes(), task.layout, task.cloud_seed)
@@ -58,12 +50,3 @@ def simulated_bank(task: Task, count: int, objects: str | None = None, underway:
         tuple(clouds),
         np.asarray(joints, np.float32),
     )
-
-
-def _run_ahead(simulator: Simulator, task: Task, seed: int, probability: float) -> None:
-    """Let the expert act from an episode's first scene, with a probability, but not up to success."""
-    rng = np.random.default_rng((13, seed))
-    if rng.random() < probability:
-        run_ahead(simulator, task, rng)
-        if simulator.outcome().success:
-            simulator.reset(seed)

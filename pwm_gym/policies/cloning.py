@@ -20,7 +20,7 @@ from pwm_gym.scene.se3 import matrix_from_pose7
 from pwm_gym.schema import convert
 from pwm_gym.tasks import Task, get_task
 
-__all__ = ["CloningConfig", "clone", "demonstration_steps", "demonstrations_of", "load_policy"]
+__all__ = ["CloningConfig", "clone", "load_policy"]
 
 _FORMAT = "pwm_gym.policy"
 _LEAST_SPREAD = 1e-3  # of a feature that hardly changes
@@ -100,11 +100,11 @@ def clone(
         raise PwmGymError(f"episodes={episodes}; expected 0 (all) or more")
     torch.manual_seed(config.seed)
     policy = Policy(known.layout, known.action_size, known.goal_size, network)
-    train = demonstrations_of(data, "train", known, episodes)
+    train = _demonstrations(data, "train", known, episodes)
     features, actions = _rows(policy, train)
     policy.mean.copy_(features.mean(0))
     policy.std.copy_(features.std(0).clamp_min(_LEAST_SPREAD))
-    held_out = _Batch(*_rows(policy, demonstrations_of(data, "validation", known)))
+    held_out = _Batch(*_rows(policy, _demonstrations(data, "validation", known)))
     spread = config.noise * policy.std
     device = torch.device(config.device)
 
@@ -143,18 +143,8 @@ def load_policy(folder: str | Path) -> Policy:
     return policy
 
 
-def demonstrations_of(data: Path, split: str, task: Task, episodes: int = 0) -> Dataset:
-    """Demonstrations of a split, evenly chosen where fewer are asked for.
-
-    Args:
-        data: folder of a data set.
-        split: of it.
-        task: that it must be of.
-        episodes: how many; 0 takes all.
-
-    Raises:
-        DatasetError: no such data set, or fewer demonstrations in it.
-    """
+def _demonstrations(data: Path, split: str, task: Task, episodes: int = 0) -> Dataset:
+    """Demonstrations of a split, evenly chosen where fewer are asked for."""
     found = load_split(data, split, task.name).of_kinds(_KINDS)
     if not found.episodes:
         raise DatasetError(f"{data} has no demonstrations in its {split} split; expected some to clone")
@@ -172,7 +162,7 @@ def _rows(policy: Policy, data: Dataset) -> tuple[Tensor, Tensor]:
 def _of_episodes(policy: Policy, data: Dataset) -> Iterator[tuple[Tensor, Tensor]]:
     boxes = boxes_of(data.layout, torch.as_tensor(data.clouds))
     for episode, combination in zip(data.episodes, data.combination_of, strict=True):
-        count = demonstration_steps(episode)
+        count = _length(episode)
         frames = matrix_from_pose7(torch.as_tensor(episode.poses[:count], dtype=torch.float64)).float()
         past = torch.arange(count).unsqueeze(1) - torch.arange(3)
         goal = torch.as_tensor(episode.goal, dtype=torch.float32).expand(count, -1)
@@ -180,6 +170,6 @@ def _of_episodes(policy: Policy, data: Dataset) -> Iterator[tuple[Tensor, Tensor
         yield features, torch.as_tensor(episode.actions[:count], dtype=torch.float32)
 
 
-def demonstration_steps(episode: Episode) -> int:
+def _length(episode: Episode) -> int:
     """Steps that the expert took."""
     return len(episode) if episode.switch < 0 else episode.switch

@@ -13,6 +13,7 @@ import torch
 from torch import nn
 
 from pwm_gym.data.augment import Reframed
+from pwm_gym.data.banks import bank_of
 from pwm_gym.data.batch import Batches
 from pwm_gym.data.dataset import Dataset, load_split, read_header
 from pwm_gym.data.episodes import KINDS
@@ -322,17 +323,4 @@ def scene_bank(dataset: Dataset) -> SceneBank:
     kinds = np.array([KINDS[e.kind] for e in dataset.episodes])
     shown = np.flatnonzero(np.isin(kinds, ("expert", "randomised")))[:BANK]
     places = shown if len(shown) else np.arange(min(BANK, len(kinds)))
-    chosen = [dataset.episodes[k] for k in places]
-    combinations = np.asarray(dataset.combination_of)[places]
-    used = sorted({int(k) for k in combinations})
-    named = any(e.assets for e in chosen)
-    return SceneBank(
-        dataset.task,
-        dataset.layout,
-        dataset.clouds[used],
-        np.stack([e.poses[0] for e in chosen]),
-        np.stack([e.goal for e in chosen]),
-        np.array([used.index(int(k)) for k in combinations]),
-        tuple(dataset.combinations[k] for k in used) if named else (),
-        np.stack([e.joints[0, 0] for e in chosen]),
-    )
+    return bank_of(dataset, places.tolist(), [0] * len(places))

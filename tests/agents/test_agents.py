@@ -14,9 +14,9 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 import pwm_gym
 from pwm_gym.agents import AgentConfig, load_agent, train, training
 from pwm_gym.agents.config import ALGORITHMS
-from pwm_gym.agents.imitation import CriticFirst, imitate
 from pwm_gym.agents.worlds import SuccessIsBest, make_world
 from pwm_gym.cli import main
+from pwm_gym.data import load_split
 from pwm_gym.dynamics import load_checkpoint, resolve
 from pwm_gym.errors import CheckpointError, DatasetError, PwmGymError, UnknownNameError
 from pwm_gym.policies import PolicyAgent
@@ -86,19 +86,35 @@ def _far(one, other):
 def test_scenes_are_drawn_once_a_run(monkeypatch, tmp_path):
     drawn = []
 
-    def draw(task, count, underway):
-        drawn.append((count, underway))
+    def draw(task, count):
+        drawn.append(count)
         bank = load_checkpoint(resolve("default", task.name)).bank(task.name)
         return replace(bank, **{k: getattr(bank, k)[:count] for k in ("poses", "goals", "combination", "joints")})
 
     monkeypatch.setattr(training, "simulated_bank", draw)
-    config = replace(SMALL, scenes=2, underway=0.25)
+    config = replace(SMALL, scenes=2)
     for _ in range(2):
         bank = training._scenes(TASK, config, tmp_path)
-    assert drawn == [(2, 0.25)] and len(bank) == 2
+    assert drawn == [2] and len(bank) == 2
     with closing(make_world(TASK, config, bank)) as world:
         goals = world.reset()[:, -3:]
     assert {tuple(goal) for goal in goals} == {tuple(goal) for goal in bank.goals}
+
+
+def test_scenes_may_be_of_demonstrations(data_folder, tmp_path):
+    config = replace(SMALL, scenes=30, demonstrations=str(data_folder), underway=1.0)
+    bank = training._scenes(TASK, config, tmp_path)
+    shown = load_split(data_folder, "train").of_kinds(("expert", "randomised"))
+    first = {e.poses[0].tobytes() for e in shown.episodes}
+    assert len(bank) == 30 and sum(poses.tobytes() in first for poses in bank.poses) < 5
+    with closing(make_world(TASK, config, bank)) as world:
+        world.reset()
+        assert not np.any(world.step(np.zeros((16, 7), np.float32))[2])
+
+
+def test_a_data_set_without_demonstrations_is_refused(data_folder, tmp_path):
+    with pytest.raises(DatasetError, match=r"has no dataset\.json"):
+        train("PickCube", tmp_path / "run", replace(SMALL, scenes=2, demonstrations=str(tmp_path)), progress=False)
 
 
 def test_a_run_goes_on_where_it_was(trained, tmp_path):
@@ -137,36 +153,6 @@ def test_points_are_read_and_their_order_within_an_entity_is_not(tmp_path, scene
     assert (policy.act(replace(state, clouds=clouds), goal) - action).abs().max() > 1e-5
 
 
-@pytest.mark.parametrize("observation", ["poses", "points"])
-def test_a_policy_imitates_demonstrations(data_folder, observation):
-    config = replace(SMALL, observation=observation, demonstrations=str(data_folder), width=64, imitation_steps=300)
-    with closing(make_world(TASK, config)) as world:
-        learner = training._learner(TASK, replace(config, imitation_steps=1), world, data_folder / "none", False)
-        before = imitate(learner.policy, TASK, replace(config, imitation_steps=1), progress=False)
-        after = imitate(learner.policy, TASK, config, progress=False)
-    assert after < 0.5 * before
-
-
-def test_the_critic_learns_first_after_imitation(data_folder, tmp_path, monkeypatch):
-    config = replace(SMALL, demonstrations=str(data_folder), imitation_steps=20, steps=16 * 8 * 2)
-    weights = []
-
-    def look(self):
-        weights.append(self.model.policy.action_net.weight.detach().clone())
-        weights.append(self.model.policy.value_net.weight.detach().clone())
-
-    monkeypatch.setattr(CriticFirst, "_on_training_end", look)
-    monkeypatch.setattr(CriticFirst, "_on_training_start", lambda self: (look(self), setattr(self, "_updates", 0)))
-    train("PickCube", tmp_path / "run", config, progress=False)
-    acts, judges, acts_after, judges_after = weights
-    assert torch.equal(acts, acts_after) and not torch.equal(judges, judges_after)
-
-
-def test_a_data_set_without_demonstrations_is_refused(tmp_path):
-    with pytest.raises(DatasetError, match=r"has no dataset\.json"):
-        train("PickCube", tmp_path / "run", replace(SMALL, demonstrations=str(tmp_path)), progress=False)
-
-
 def test_twins_are_learned_in_with_training_seeds_alone(monkeypatch, tmp_path):
     seeds = []
     reset = pwm_gym.envs.SimEnv.reset
@@ -195,10 +181,9 @@ def test_twins_are_learned_in_with_training_seeds_alone(monkeypatch, tmp_path):
         ({"num_envs": -1}, PwmGymError, "num_envs=-1; expected a whole number of at least 0"),
         ({"discount": 1.0}, PwmGymError, "discount=1.0; expected a number between 0 and 1"),
         ({"exploration": float("nan")}, PwmGymError, "exploration=nan; expected a number between 0 and 10"),
-        ({"underway": 1.5, "scenes": 10}, PwmGymError, r"underway=1\.5; expected a share, 0 to 1"),
-        ({"underway": 0.5}, PwmGymError, r"underway=0\.5; expected scenes of a model's episodes"),
-        ({"demonstrations": "d", "algorithm": "sac"}, PwmGymError, "demonstrations='d' with sac; expected ppo"),
-        ({"imitation_steps": 0}, PwmGymError, "imitation_steps=0; expected a whole number of at least 1"),
+        ({"underway": 1.5}, PwmGymError, r"underway=1\.5; expected a share, 0 to 1"),
+        ({"demonstrations": "d"}, PwmGymError, "demonstrations='d' and scenes=0 in the model; expected some scenes"),
+        ({"demonstrations": "d", "scenes": 2, "world": "sim"}, PwmGymError, "scenes=2 in the sim; expected some"),
     ],
 )
 def test_settings_that_cannot_be(settings, kind, message):

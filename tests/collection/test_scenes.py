@@ -33,21 +33,3 @@ def test_a_checkpoint_gets_scenes_of_a_task_that_it_was_never_trained_on(tmp_pat
 def test_no_scenes_are_refused():
     with pytest.raises(PwmGymError, match="count=0; expected at least 1"):
         simulated_bank(get_task("PickCube"), 0)
-
-
-def test_scenes_underway_are_those_that_the_expert_comes_to():
-    task = get_task("PickCube")
-    first, later = (simulated_bank(task, 6, underway=share) for share in (0.0, 1.0))
-    assert np.array_equal(first.goals, later.goals)
-    hand = next(iter(task.layout.hands))
-    moved = np.linalg.norm(first.poses[:, hand, :3] - later.poses[:, hand, :3], axis=1)
-    assert (moved > 0.02).sum() >= 4
-    with gym.make("pwm/PickCubeSim-v0") as twin:
-        for index in range(6):
-            _, info = twin.reset(options={"scene": later.scene(index)})
-            assert not info["success"]
-
-
-def test_a_share_of_scenes_underway_is_a_probability():
-    with pytest.raises(PwmGymError, match=r"underway=1\.5; expected a probability"):
-        simulated_bank(get_task("PickCube"), 1, underway=1.5)
