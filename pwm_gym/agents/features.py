@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import combinations
 from typing import Any
 
 import gymnasium as gym
@@ -15,16 +16,20 @@ from pwm_gym.scene import POSE_FEATURES
 __all__ = ["EntityFeatures", "PointFeatures"]
 
 _PLACE, _SPEED = 10.0, 50.0  # what metres, and metres a step, are multiplied by
+_NEAR = 0.02  # metres: the finer scale of ways between entities
 _CHANNELS = 64  # of a point, and of what is told of all of an entity's
 
 
 class EntityFeatures(BaseFeaturesExtractor):
     """Poses (B, 12 E + G), places seen from the hand; goals seen from the hand and from each loose object.
 
+    Loose objects are seen from each other, and from the hand, on a finer scale, too: whether one is on another, or
+    between fingers, is a matter of millimetres.
+
     Args:
         observation_space: of :class:`pwm_gym.wrappers.EntityPoses`.
         hand: place among the entities of the one that the others are seen from.
-        objects: places of those that a goal is seen from.
+        objects: places of the loose ones.
         goal_size: G; only goals of three values are places.
     """
 
@@ -33,8 +38,11 @@ class EntityFeatures(BaseFeaturesExtractor):
     ) -> None:
         entities = (observation_space.shape[0] - goal_size) // POSE_FEATURES
         placed = goal_size == 3
-        super().__init__(observation_space, POSE_FEATURES * entities + goal_size + placed * 3 * (1 + len(objects)))
+        pairs = [*combinations((hand, *objects), 2)]
+        told = placed * 3 * (1 + len(objects)) + 6 * len(pairs)
+        super().__init__(observation_space, POSE_FEATURES * entities + goal_size + told)
         self.entities, self.hand, self.objects, self.placed = entities, hand, [*objects], placed
+        self._from, self._to = ([pair[k] for pair in pairs] for k in (0, 1))
 
     def forward(self, observations: Tensor) -> Tensor:
         """Features (B, F)."""
@@ -42,6 +50,8 @@ class EntityFeatures(BaseFeaturesExtractor):
         goal = observations[:, POSE_FEATURES * self.entities :]
         places, turns, speeds = own.split([3, POSE_FEATURES - 6, 3], -1)
         parts = [_seen_from(places, self.hand).flatten(1), turns.flatten(1), speeds.flatten(1) * _SPEED, goal]
+        ways = (places[:, self._to] - places[:, self._from]).flatten(1)
+        parts += [ways * _PLACE, torch.tanh(ways / _NEAR)]
         if self.placed:
             parts += [(goal - places[:, k]) * _PLACE for k in (self.hand, *self.objects)]
         return torch.cat(parts, 1)
