@@ -39,6 +39,8 @@ def bank_of(dataset: Dataset, episodes: Sequence[int], steps: Sequence[int]) -> 
 def underway_bank(dataset: Dataset, count: int, share: float, seed: int = 0) -> SceneBank:
     """Scenes of episodes drawn at random, a share of which are somewhere before the episode's first success.
 
+    Half of these are in the last quarter of the way there, a third in its last tenth.
+
     Args:
         dataset: demonstrations.
         count: scenes.
@@ -47,8 +49,8 @@ def underway_bank(dataset: Dataset, count: int, share: float, seed: int = 0) -> 
     """
     rng = np.random.default_rng(seed)
     places = rng.integers(len(dataset.episodes), size=count)
-    lengths = [_before_success(dataset, int(k)) for k in places]
-    drawn = rng.integers(lengths)
+    lengths = np.array([_before_success(dataset, int(k)) for k in places])
+    drawn = np.floor(lengths * (1.0 - rng.random(count) ** 2)).astype(int).clip(max=lengths - 1)
     return bank_of(dataset, places.tolist(), np.where(rng.random(count) < share, drawn, 0).tolist())
 
 
