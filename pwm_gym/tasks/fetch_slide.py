@@ -73,7 +73,6 @@ FETCH_SLIDE = register_task(
         expert_steps=30,
         cost="fetch_slide",
         plan_cost="fetch_slide_plan",
-        planner="mppi-fine",
         success="fetch_slide",
         grasp="fetch_slide",
         max_episode_steps=50,
