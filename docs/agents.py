@@ -8,29 +8,32 @@ from formatting import ROOT, SUCCESS_HEAD, grid, paragraph, read, source, succes
 
 from pwm_gym.evaluation.ranking import measure_text
 
-_LEARNED = {"PickCube, PPO in the model": "agent_pick_cube_ppo"}
+_LEARNED = {
+    "PickCube, PPO in the model": "agent_pick_cube_ppo",
+    "StackCube, PPO in the model, from starts in demonstrations": "agent_stack_cube_ppo",
+}
 _RANKED = {"PickCube": "rank_pick_cube"}
 
 
 def learned() -> str:
     """Success in the simulator of agents that never saw it."""
-    rows, sources, data = [], [], 0
+    rows, sources = [], []
     for label, name in _LEARNED.items():
         result = read(name)
         if result is not None:
             took = result["training"]
-            data = took["model_data_steps"]
             minutes = f"{took['seconds'] / 60:.0f} min, {took['steps'] / 1e6:.1f} M steps"
-            rows.append([label, *success(result), minutes, f"{took['model_minutes']:.0f} min"])
+            model = f"{took['model_minutes']:.0f} min, {took['model_data_steps']:,} steps"
+            rows.append([label, *success(result), minutes, model])
             sources.append(source(name, result))
     if not rows:
         return ""
     about = paragraph(
         "Policies trained by reinforcement learning inside the shipped model alone, tested in the simulator in the",
-        "planners' test episodes; PPO of stable-baselines3 on entity poses ([how](train_agent.md)). The model's own",
-        f"training, shared with other tasks, took what the last column says, on {data:,} steps of",
-        "simulation. The policy's training ran on one thread beside other processes, and in three parts: the learning",
-        "rate rose again at the beginning of each.",
+        "planners' test episodes; PPO of stable-baselines3 on entity poses ([how](train_agent.md)). The last column is",
+        "the model's own training, which other tasks share, and the simulator's steps that it was trained on. Policies",
+        "were trained on one thread beside other processes; PickCube's in three parts, at the beginning of each of which",
+        "the learning rate rose again.",
     )
     head = [*SUCCESS_HEAD, "training of the policy", "of the model"]
     told = "\n".join(sources)
