@@ -32,8 +32,8 @@ def learned() -> str:
         "Policies trained by reinforcement learning inside the shipped model alone, tested in the simulator in the",
         "planners' test episodes; PPO of stable-baselines3 on entity poses ([how](train_agent.md)). The last column is",
         "the model's own training, which other tasks share, and the simulator's steps that it was trained on. Policies",
-        "were trained on one thread beside other processes; PickCube's in three parts, at the beginning of each of which",
-        "the learning rate rose again.",
+        "were trained on one thread beside other processes; PickCube's in three parts, at the beginning of each of",
+        "which the learning rate rose again.",
     )
     head = [*SUCCESS_HEAD, "training of the policy", "of the model"]
     told = "\n".join(sources)
