@@ -39,7 +39,7 @@ pwm-gym train --data data-sets/MugCleanup data-sets/Coffee --out runs/kitchen-pa
     --threads 1 --phases 1 350 32 3 90 32 5 50 32
 ```
 """
-_HANDS_TRAINED = """ParticleFormer+ learned from the partial clouds of both tasks' demonstrations, MINUTES of one
+_HANDS_TRAINED = """ParticleFormer+ learned from the partial clouds of both tasks' demonstrations, for 30 minutes of one
 processor; its Chamfer distances are of partial clouds. Policies were cloned from each task's demonstrations.
 
 ```

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import torch
 from torch import Tensor
 
@@ -10,12 +12,30 @@ from pwm_gym.costs.contacts import Points
 from pwm_gym.costs.terms import Info, Term
 from pwm_gym.robots.gripper import Gripper
 
-__all__ = ["behind", "goal_distance", "pressing", "pushed_terms", "pushing_terms", "wrong_side"]
+__all__ = ["Slide", "behind", "goal_distance", "pressing", "pushed_terms", "pushing_terms", "wrong_side"]
 
 _NEAR = 0.02  # metres from the goal within which the way there counts most
 _LEVEL = 0.03  # metres over an object's centre above which the tool is clear of it
 _SLACK, _CLEAR = 0.005, 0.065  # metres over it up to which the tool pushes, and from which it does not touch
 _REACH = 0.02  # metres farther than where it pushes that the tool still presses
+
+
+@dataclass(frozen=True)
+class Slide:
+    """How friction slows an object down, which may take more from what is fast: metres a step, each step."""
+
+    slow: float
+    """Of what is slower than :attr:`turn`."""
+    fast: float
+    """Of what is faster."""
+    turn: float = 0.0
+    """Metres a step."""
+
+    def way(self, speed: Tensor) -> Tensor:
+        """Metres to go after a step of ``speed`` metres."""
+        below = speed.clamp(max=self.turn)
+        above = (speed.square() - below.square()) / (2.0 * self.fast)
+        return (below.square() / (2.0 * self.slow) + above - 0.5 * speed).clamp_min(0.0)
 
 
 def pushed_terms(name: str, gripper: Gripper, success: Term) -> dict[str, tuple[float, Term]]:
@@ -35,19 +55,20 @@ def pushed_terms(name: str, gripper: Gripper, success: Term) -> dict[str, tuple[
     return shaped.normalised(4.0, {"pushing": (None, 0.0, pushing)}, success)
 
 
-def goal_distance(name: str, slowing: float | None = None) -> Term:
+def goal_distance(name: str, slide: Slide | None = None) -> Term:
     """Distance (B,) in the plane from where an object comes to rest to the goal, sharper when near.
 
     Args:
         name: the object.
-        slowing: by how much, metres a step in a step, friction slows it down; None: it stops at once.
+        slide: how friction slows it down; None: it stops at once.
     """
 
     def term(points: Points, info: Info) -> Tensor:
         place = contacts.centre(points, name)
-        if slowing is not None:
+        if slide is not None:
             step = info["velocity"][name].mean(-2)
-            place = place + step * step.norm(dim=-1, keepdim=True) / (2.0 * slowing)
+            speed = step.norm(dim=-1, keepdim=True)
+            place = place + step / speed.clamp_min(1e-9) * slide.way(speed)
         way = (place - info["goal"])[..., :2].norm(dim=-1)
         return 5.0 * way + torch.tanh(way / _NEAR)
 
@@ -105,7 +126,7 @@ def pressing(name: str, gripper: Gripper, contact: float) -> Term:
 
 
 def pushing_terms(
-    name: str, gripper: Gripper, contact: float, slowing: float | None = None
+    name: str, gripper: Gripper, contact: float, slide: Slide | None = None
 ) -> dict[str, tuple[float, Term]]:
     """Weighted terms of a planner's cost: the object near its goal, the tool behind it and not on the table.
 
@@ -113,10 +134,10 @@ def pushing_terms(
         name: the object.
         gripper: that pushes.
         contact: distance, metres, of the tool from the object's centre where it pushes.
-        slowing: by how much, metres a step in a step, friction slows the object down; None: it stops at once.
+        slide: how friction slows the object down; None: it stops at once.
     """
     return {
-        "goal_distance": (2.0, goal_distance(name, slowing)),
+        "goal_distance": (2.0, goal_distance(name, slide)),
         "behind": (8.0, behind(name, gripper, contact)),
         "wrong_side": (8.0, wrong_side(name, gripper, contact)),
         "pressing": (20.0, pressing(name, gripper, contact)),

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pwm_gym.costs import register_grasp, register_success, register_terms, terms
-from pwm_gym.costs.pushes import pushed_terms, pushing_terms
+from pwm_gym.costs.pushes import Slide, pushed_terms, pushing_terms
 from pwm_gym.robots.fetch import FETCH, WIDE_TABLE, layout
 from pwm_gym.robots.gripper import FETCH as GRIPPER
 from pwm_gym.sim import Simulator
@@ -19,7 +19,7 @@ from pwm_gym.tasks.registry import Task, register_task
 __all__ = ["FETCH_SLIDE", "FetchSlideExpert"]
 
 _CONTACT = 0.04  # metres from the tool to the puck's centre where shut fingers touch it
-_SLOWING = 0.1 * 9.81 * FETCH.control.period**2  # metres a step in a step: friction of 0.1
+_SLIDE = Slide(slow=1.13e-3, fast=1.49e-3, turn=0.0125)  # metres a step; measured on free slides of demonstrations
 _RADIUS = 0.025  # metres: the puck's
 _HALF = (0.0135, 0.0149)  # metres: half the sides of the shut fingers
 _STROKES = (0.0, 8.0, 15.0, 22.0, 30.0, 37.0, 45.0, 52.0, 60.0, 67.0, 75.0, 82.0, 90.0)  # degrees; measured
@@ -33,7 +33,7 @@ register_grasp("fetch_slide")(terms.pinch("object", GRIPPER))
 _success = register_success("fetch_slide")(terms.near("object", terms.goal_position, GOAL_RADIUS))
 
 register_terms("fetch_slide", pushed_terms("object", GRIPPER, _success))  # minus the dense reward
-register_terms("fetch_slide_plan", pushing_terms("object", GRIPPER, _CONTACT, _SLOWING))
+register_terms("fetch_slide_plan", pushing_terms("object", GRIPPER, _CONTACT, _SLIDE))
 
 
 @dataclass(frozen=True)
