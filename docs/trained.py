@@ -70,8 +70,10 @@ pwm-gym collect --task Coffee --episodes 64 --held-out 8 --practice 0.0  # for b
 ```
 
 `fetch` and `fetch-grip` are of the Fetch: 19 and 24 minutes of one process beside others, and ten of collection.
-`fetch` saw all four tasks and is the default of three; in these the gripper is held shut and its action ignored, so
+`fetch` saw all four tasks and is the default of two; in these the gripper is held shut and its action ignored, so
 that one response fitted on all four never opens a shut gripper. `fetch-grip` is of FetchPickAndPlace alone.
+`fetch-slide` went on from `fetch` on FetchSlide alone, for 13 minutes of one processor beside others, in two trainings
+whose weights' mean it is.
 
 ```
 pwm-gym collect --task FetchPickAndPlace --episodes 700 --held-out 40 --practice 0.6
@@ -82,6 +84,12 @@ pwm-gym train --data data-sets/FetchPickAndPlace data-sets/FetchPush data-sets/F
     --out runs/fetch --threads 1 --phases 1 1200 256 5 500 128 15 350 96
 pwm-gym train --data data-sets/FetchPickAndPlace --out runs/fetch-grip --threads 1 \\
     --phases 1 900 256 5 400 128 15 300 96
+pwm-gym collect --task FetchSlide --episodes 900 --held-out 40 --practice 0.6  # anew, for fetch-slide
+pwm-gym train --data data-sets/FetchSlide --init fetch --out runs/slide --threads 1 --learning-rate 0.002 \\
+    --phases 1 500 256 5 400 128 15 250 96
+pwm-gym train --data data-sets/FetchSlide --init runs/slide/checkpoint --out runs/slide2 --threads 1 \\
+    --learning-rate 0.0015 --phases 1 200 256 5 400 128 15 400 96
+pwm-gym average runs/slide/checkpoint runs/slide2/checkpoint --out runs/slide3
 ```
 
 `ogbench-cube` is of OGBench's single cube and its UR5e: 14 minutes of one processor, 36 by the clock beside many
