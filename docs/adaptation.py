@@ -89,7 +89,7 @@ _COMPARISONS = (
     _Comparison(
         "Two arms beside learned baselines",
         "Rollouts on the same test episodes, and success from the same test seeds. Errors of a model of points add up"
-        " over some 200 steps: it ends farther off than one in which nothing moves (above, in the tasks' own sections).",
+        " over some 200 steps: it ends farther off than one in which nothing moves (the tasks' own sections).",
         _HANDS_TRAINED,
         {"TwoArmBoxCleanup": "two_arm_box_cleanup", "TwoArmDrawerCleanup": "two_arm_drawer_cleanup"},
         {
