@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -55,6 +56,8 @@ class AgentConfig:
     first update on. The others begin where the task does."""
     episode_steps: int = 50
     """Longer episodes are truncated; what would come after counts all the same."""
+    caution: float = 0.0
+    """In the model: reward taken off for a metre of its expected error, all entities together, at each step."""
     discount: float = 0.9
     """Of a reward one step later."""
     learning_rate: float = 5e-4
@@ -97,6 +100,10 @@ class AgentConfig:
         if self.demonstrations and not (self.scenes and self.world == "model"):
             told = f"scenes={self.scenes} in the {self.world}"
             raise PwmGymError(f"demonstrations={self.demonstrations!r} and {told}; expected some scenes in the model")
+        if not 0.0 <= self.caution < math.inf:
+            raise PwmGymError(f"caution={self.caution}; expected a finite number of at least 0")
+        if self.caution and self.world != "model":
+            raise PwmGymError(f"caution={self.caution} in the {self.world}; expected the model, which tells its error")
         for name, top in (("discount", 1.0), ("learning_rate", 1.0), ("exploration", 10.0)):
             if not 0.0 < getattr(self, name) < top:
                 raise PwmGymError(f"{name}={getattr(self, name)}; expected a number between 0 and {top:g}")

@@ -15,6 +15,7 @@ from pwm_gym.envs import SimEnv
 from pwm_gym.seeds import RANGES
 from pwm_gym.tasks import Task
 from pwm_gym.wrappers import EntityPoses, SB3VecEnv
+from pwm_gym.wrappers.vector import UncertaintyPenalty
 
 __all__ = ["SuccessIsBest", "make_world"]
 
@@ -65,7 +66,7 @@ def _model(task: Task, config: AgentConfig, scenes: SceneBank | None) -> VecEnv:
         autoreset_mode="SameStep",
         scenes=scenes,
     )
-    return SB3VecEnv(env, config.observation)
+    return SB3VecEnv(UncertaintyPenalty(env, config.caution) if config.caution else env, config.observation)
 
 
 def _twins(task: Task, config: AgentConfig) -> VecEnv:

@@ -101,6 +101,16 @@ def test_scenes_are_drawn_once_a_run(monkeypatch, tmp_path):
     assert {tuple(goal) for goal in goals} == {tuple(goal) for goal in bank.goals}
 
 
+def test_caution_takes_the_expected_error_off_the_rewards():
+    rewards = []
+    for caution in (0.0, 2.0):
+        with closing(make_world(TASK, replace(SMALL, caution=caution))) as world:
+            world.reset()
+            rewards.append([world.step(np.full((16, 7), 0.3, np.float32))[1] for _ in range(5)])
+    plain, careful = np.array(rewards)
+    assert (careful < plain).all() and (plain - careful)[-1].mean() > (plain - careful)[0].mean()
+
+
 def test_scenes_may_be_of_demonstrations(data_folder, tmp_path):
     config = replace(SMALL, scenes=30, demonstrations=str(data_folder), underway=1.0)
     bank = training._scenes(TASK, config, tmp_path)
@@ -181,6 +191,8 @@ def test_twins_are_learned_in_with_training_seeds_alone(monkeypatch, tmp_path):
         ({"num_envs": -1}, PwmGymError, "num_envs=-1; expected a whole number of at least 0"),
         ({"discount": 1.0}, PwmGymError, "discount=1.0; expected a number between 0 and 1"),
         ({"exploration": float("nan")}, PwmGymError, "exploration=nan; expected a number between 0 and 10"),
+        ({"caution": -1.0}, PwmGymError, r"caution=-1\.0; expected a finite number of at least 0"),
+        ({"caution": 1.0, "world": "sim"}, PwmGymError, r"caution=1\.0 in the sim; expected the model"),
         ({"underway": 1.5}, PwmGymError, r"underway=1\.5; expected a share, 0 to 1"),
         ({"demonstrations": "d"}, PwmGymError, "demonstrations='d' and scenes=0 in the model; expected some scenes"),
         ({"demonstrations": "d", "scenes": 2, "world": "sim"}, PwmGymError, "scenes=2 in the sim; expected some"),
