@@ -12,7 +12,7 @@ _LEARNED = {
     "PickCube, PPO in the model": "agent_pick_cube_ppo",
     "StackCube, PPO in the model, from starts in demonstrations": "agent_stack_cube_ppo",
 }
-_RANKED = {"PickCube": "rank_pick_cube"}
+_RANKED = {"PickCube": "rank_pick_cube", "StackCube": "rank_stack_cube"}
 
 
 def learned() -> str:
