@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 
 import torch
 from safetensors import SafetensorError
-from safetensors.torch import load_file, save_file
+from safetensors.torch import load_file, save
 from torch import Tensor, nn
 
 from pwm_gym.errors import CheckpointError, writing
@@ -52,9 +52,9 @@ def save_weights(folder: Path, model: nn.Module, description: Mapping[str, Any])
     with (
         writing(folder),
         replacing(folder / _DESCRIPTION) as description_file,
-        replacing(folder / _WEIGHTS, SafetensorError) as weights_file,
+        replacing(folder / _WEIGHTS) as weights_file,
     ):
-        save_file(weights, weights_file)
+        weights_file.write_bytes(save(weights))  # its own save_file() makes files that others may not read
         description_file.write_text(text)
 
 

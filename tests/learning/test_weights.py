@@ -42,6 +42,11 @@ def test_weights_and_description_survive(folder, model):
     assert {p.name for p in folder.iterdir()} == {"config.json", "model.safetensors"}
 
 
+def test_weights_may_be_read_by_whoever_may_read_their_description(folder):
+    modes = {(folder / name).stat().st_mode for name in ("model.safetensors", "config.json")}
+    assert len(modes) == 1
+
+
 def test_weights_that_are_not_finite_are_not_saved(folder, model):
     before = (folder / "model.safetensors").read_bytes()
     with torch.no_grad():
