@@ -11,6 +11,7 @@ from pwm_gym.evaluation.ranking import measure_text
 _LEARNED = {
     "PickCube, PPO in the model": "agent_pick_cube_ppo",
     "StackCube, PPO in the model, from starts in demonstrations": "agent_stack_cube_ppo",
+    "the same with a caution of 1": "agent_stack_cube_careful",
 }
 _RANKED = {"PickCube": "rank_pick_cube", "StackCube": "rank_stack_cube"}
 
