@@ -8,6 +8,8 @@ from typing import Any
 
 from formatting import grid, number, paragraph, read, source
 
+_ELSEWHERE = ("evaluate_{}", "plan_{}_closed", "cloned_{}")
+"""Names of results whose commands stand in other sections."""
 _KITCHEN_TRAINED = """Models of one task alone began anew, for 7 and 8 minutes of one processor:
 
 ```
@@ -63,8 +65,6 @@ class _Comparison:
     """Task -> stem of its results' names."""
     models: Mapping[str, tuple[str, str]]
     """Label -> names of the results of its rollouts and of its planning, "{}" for the stem."""
-    elsewhere: tuple[str, ...]
-    """Names of results whose commands stand in other sections."""
 
 
 _COMPARISONS = (
@@ -84,7 +84,6 @@ _COMPARISONS = (
             ),
             "behaviour cloning, each task's demonstrations": ("", "cloned_{}"),
         },
-        ("evaluate_{}", "plan_{}_closed", "cloned_{}"),
     ),
     _Comparison(
         "Two arms beside learned baselines",
@@ -97,7 +96,6 @@ _COMPARISONS = (
             "ParticleFormer+, partial clouds": ("evaluate_{}_particleformer", ""),
             "behaviour cloning, each task's demonstrations": ("", "cloned_{}"),
         },
-        ("evaluate_{}", "plan_{}_closed", "cloned_{}"),
     ),
 )
 
@@ -109,7 +107,7 @@ def adaptation() -> str:
 
 def _section(compared: _Comparison) -> str:
     rows, sources = [], []
-    elsewhere = {name.format(stem) for name in compared.elsewhere for stem in compared.tasks.values()}
+    elsewhere = {name.format(stem) for name in _ELSEWHERE for stem in compared.tasks.values()}
     for label, (rolled, planned) in compared.models.items():
         for task, stem in compared.tasks.items():
             names = [name.format(stem) for name in (rolled, planned) if name]

@@ -18,9 +18,9 @@ from pwm_gym.agents.config import AgentConfig
 from pwm_gym.agents.policy import algorithm_class, policy_name, policy_settings, save_agent
 from pwm_gym.agents.worlds import make_world
 from pwm_gym.collection.scenes import simulated_bank
-from pwm_gym.data import load_split, underway_bank
+from pwm_gym.data import load_demonstrations, underway_bank
 from pwm_gym.dynamics import SceneBank, load_checkpoint, resolve
-from pwm_gym.errors import CheckpointError, DatasetError, PwmGymError
+from pwm_gym.errors import CheckpointError, PwmGymError
 from pwm_gym.files import replacing, write_atomically
 from pwm_gym.process import prepare_process
 from pwm_gym.schema import read_json
@@ -55,6 +55,7 @@ def train(task: str, out: Path, config: AgentConfig | None = None, progress: boo
 
     Raises:
         PwmGymError: the folder holds a run of other settings, or settings that do not fit the task.
+        DatasetError: as of :func:`pwm_gym.data.dataset.load_demonstrations`, where starts are drawn from some.
     """
     config, known = config or AgentConfig(), get_task(task)
     prepare_process(config.threads)
@@ -96,16 +97,10 @@ def _scenes(task: Task, config: AgentConfig, out: Path) -> SceneBank | None:
 
 
 def _draw(task: Task, config: AgentConfig) -> SceneBank:
-    """Scenes of the simulator's training seeds, or of a data set's demonstrations.
-
-    Raises:
-        DatasetError: no such data set, or none of its episodes is a demonstration.
-    """
+    """Scenes of the simulator's training seeds, or of a data set's demonstrations."""
     if not config.demonstrations:
         return simulated_bank(task, config.scenes)
-    shown = load_split(config.demonstrations, "train", task.name).of_kinds(("expert", "randomised"))
-    if not shown.episodes:
-        raise DatasetError(f"{config.demonstrations} has no demonstrations in its train split; expected some")
+    shown = load_demonstrations(config.demonstrations, "train", task.name)
     return underway_bank(shown, config.scenes, config.underway, config.seed)
 
 

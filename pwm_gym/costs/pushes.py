@@ -25,15 +25,15 @@ class Slide:
     """How friction slows an object down, which may take more from what is fast: metres a step, each step."""
 
     slow: float
-    """Of what is slower than :attr:`turn`."""
+    """Of what is slower than :attr:`fast_from`."""
     fast: float
     """Of what is faster."""
-    turn: float = 0.0
+    fast_from: float = 0.0
     """Metres a step."""
 
     def way(self, speed: Tensor) -> Tensor:
-        """Metres to go after a step of ``speed`` metres."""
-        below = speed.clamp(max=self.turn)
+        """Metres (...) to go after steps of ``speed`` (...) metres."""
+        below = speed.clamp(max=self.fast_from)
         above = (speed.square() - below.square()) / (2.0 * self.fast)
         return (below.square() / (2.0 * self.slow) + above - 0.5 * speed).clamp_min(0.0)
 

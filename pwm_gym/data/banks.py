@@ -57,5 +57,4 @@ def underway_bank(dataset: Dataset, count: int, share: float, seed: int = 0) -> 
 def _before_success(dataset: Dataset, place: int) -> int:
     """Number of an episode's scenes that come before its first success, and before it turns random."""
     episode = dataset.episodes[place]
-    ends = [len(episode), *np.flatnonzero(episode.success)[:1] + 1]
-    return int(min(ends if episode.switch < 0 else [*ends, max(episode.switch, 1)]))
+    return int(min([max(episode.demonstrated, 1), *np.flatnonzero(episode.success)[:1] + 1]))

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from pwm_gym.data.episodes import KINDS, Episode, read_shard
+from pwm_gym.data.episodes import DEMONSTRATIONS, KINDS, Episode, read_shard
 from pwm_gym.errors import DatasetError, unknown_name
 from pwm_gym.files import load_arrays, save_arrays
 from pwm_gym.scene import SCHEMA, Layout, Scene
@@ -23,6 +23,7 @@ __all__ = [
     "Dataset",
     "Header",
     "asset_path",
+    "load_demonstrations",
     "load_split",
     "load_splits",
     "read_header",
@@ -174,6 +175,18 @@ def load_split(folder: Path | str, split: str, task: str | None = None) -> Datas
         raise DatasetError(f"{folder / 'dataset.json'}: {error}") from error
     episodes = tuple(episode for path in paths for episode in read_shard(path, header.task))
     return Dataset(header.task, layout, _assets(folder, header, layout), episodes)
+
+
+def load_demonstrations(folder: Path | str, split: str, task: str | None = None) -> Dataset:
+    """The demonstrations of ``split``, those that turn random too.
+
+    Raises:
+        DatasetError: there is no such data set, one of another task, or none of its episodes is a demonstration.
+    """
+    found = load_split(folder, split, task).of_kinds(DEMONSTRATIONS)
+    if not found.episodes:
+        raise DatasetError(f"{folder} has no demonstrations in its {split} split; expected some")
+    return found
 
 
 def load_splits(folder: Path, splits: Sequence[str] = (), kinds: Sequence[str] = ()) -> dict[str, Dataset]:

@@ -12,10 +12,12 @@ from pwm_gym.errors import DatasetError
 from pwm_gym.files import check_finite, load_arrays, save_arrays
 from pwm_gym.scene import SCHEMA
 
-__all__ = ["FORMAT", "KINDS", "Episode", "read_shard", "write_shard"]
+__all__ = ["DEMONSTRATIONS", "FORMAT", "KINDS", "Episode", "read_shard", "write_shard"]
 
 KINDS = ("expert", "randomised", "practice", "on_policy")
 """Kinds of episodes: the expert's, the expert's up to a random switch, mixed segments, and a planner's."""
+DEMONSTRATIONS = KINDS[:2]
+"""Those that the expert begins."""
 
 _PER_EPISODE = ("goal", "kind", "seed", "switch")
 _DIMENSIONS = {
@@ -74,6 +76,11 @@ class Episode:
 
     def __len__(self) -> int:
         return len(self.actions)
+
+    @property
+    def demonstrated(self) -> int:
+        """Steps of a demonstration that the expert took."""
+        return len(self) if self.switch < 0 else self.switch
 
 
 def write_shard(path: Path, episodes: Sequence[Episode], header: dict[str, object]) -> None:

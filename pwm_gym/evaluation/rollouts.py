@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from pwm_gym.data.dataset import Dataset
-from pwm_gym.data.episodes import KINDS, Episode
+from pwm_gym.data.episodes import DEMONSTRATIONS, KINDS, Episode
 from pwm_gym.data.partial import partial_clouds
 from pwm_gym.dynamics.model import WorldModel
 from pwm_gym.dynamics.protocols import MovesArms, MovesFewerPoints
@@ -273,7 +273,7 @@ def long_rollouts(model: WorldModel, dataset: Dataset, steps: int = 300, seed: i
         ``finite``: whether every pose was.
     """
     layout = dataset.layout
-    episodes = dataset.of_kinds(("expert", "randomised")).episodes or dataset.episodes  # practice may start in mid-air
+    episodes = dataset.of_kinds(DEMONSTRATIONS).episodes or dataset.episodes  # practice may start in mid-air
     start: State = model.prepare(batch_state([dataset.scene(e) for e in episodes]))
     generator = torch.Generator().manual_seed(seed)
     count, finite, far = len(episodes), True, 0.0
@@ -297,7 +297,7 @@ def validation_metrics(model: WorldModel, dataset: Dataset, seen: np.ndarray | N
     out = {}
     rollouts = predict(model, dataset, start=None if seen is None else observed_start(dataset, seen))
     kinds = np.array([KINDS[e.kind] for e in rollouts.episodes])
-    for name, wanted in (("demonstration", ("expert", "randomised")), ("practice", ("practice",))):
+    for name, wanted in (("demonstration", DEMONSTRATIONS), ("practice", ("practice",))):
         chosen = torch.as_tensor(np.isin(kinds, wanted))
         for i, entity in enumerate(dataset.layout):
             if not entity.joint.moves and chosen.any():

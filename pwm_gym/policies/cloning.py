@@ -10,7 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from pwm_gym.data import Dataset, Episode, load_split
+from pwm_gym.data import Dataset, load_demonstrations
 from pwm_gym.errors import CheckpointError, DatasetError, PwmGymError
 from pwm_gym.learning import LoopConfig, run_training
 from pwm_gym.learning.weights import load_weights, read_description, rebuild, save_weights
@@ -24,7 +24,6 @@ __all__ = ["CloningConfig", "clone", "load_policy"]
 
 _FORMAT = "pwm_gym.policy"
 _LEAST_SPREAD = 1e-3  # of a feature that hardly changes
-_KINDS = ("expert", "randomised")
 
 
 @dataclass(frozen=True)
@@ -145,9 +144,7 @@ def load_policy(folder: str | Path) -> Policy:
 
 def _demonstrations(data: Path, split: str, task: Task, episodes: int = 0) -> Dataset:
     """Demonstrations of a split, evenly chosen where fewer are asked for."""
-    found = load_split(data, split, task.name).of_kinds(_KINDS)
-    if not found.episodes:
-        raise DatasetError(f"{data} has no demonstrations in its {split} split; expected some to clone")
+    found = load_demonstrations(data, split, task.name)
     if episodes > len(found.episodes):
         raise DatasetError(f"episodes={episodes}; {data} has {len(found.episodes)} demonstrations")
     return found.some(episodes) if episodes else found
@@ -162,14 +159,9 @@ def _rows(policy: Policy, data: Dataset) -> tuple[Tensor, Tensor]:
 def _of_episodes(policy: Policy, data: Dataset) -> Iterator[tuple[Tensor, Tensor]]:
     boxes = boxes_of(data.layout, torch.as_tensor(data.clouds))
     for episode, combination in zip(data.episodes, data.combination_of, strict=True):
-        count = _length(episode)
+        count = episode.demonstrated
         frames = matrix_from_pose7(torch.as_tensor(episode.poses[:count], dtype=torch.float64)).float()
         past = torch.arange(count).unsqueeze(1) - torch.arange(3)
         goal = torch.as_tensor(episode.goal, dtype=torch.float32).expand(count, -1)
         features = policy.features(frames[past.clamp_min(0)], boxes[combination].expand(count, -1, -1), goal)
         yield features, torch.as_tensor(episode.actions[:count], dtype=torch.float32)
-
-
-def _length(episode: Episode) -> int:
-    """Steps that the expert took."""
-    return len(episode) if episode.switch < 0 else episode.switch

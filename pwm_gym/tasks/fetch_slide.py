@@ -19,7 +19,7 @@ from pwm_gym.tasks.registry import Task, register_task
 __all__ = ["FETCH_SLIDE", "FetchSlideExpert"]
 
 _CONTACT = 0.04  # metres from the tool to the puck's centre where shut fingers touch it
-_SLIDE = Slide(slow=1.13e-3, fast=1.49e-3, turn=0.0125)  # metres a step; measured on free slides of demonstrations
+_SLIDE = Slide(slow=1.13e-3, fast=1.49e-3, fast_from=0.0125)  # metres a step; measured on free slides of demonstrations
 _RADIUS = 0.025  # metres: the puck's
 _HALF = (0.0135, 0.0149)  # metres: half the sides of the shut fingers
 _STROKES = (0.0, 8.0, 15.0, 22.0, 30.0, 37.0, 45.0, 52.0, 60.0, 67.0, 75.0, 82.0, 90.0)  # degrees; measured

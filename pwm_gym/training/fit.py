@@ -16,7 +16,7 @@ from pwm_gym.data.augment import Reframed
 from pwm_gym.data.banks import bank_of
 from pwm_gym.data.batch import Batches
 from pwm_gym.data.dataset import Dataset, load_split, read_header
-from pwm_gym.data.episodes import KINDS
+from pwm_gym.data.episodes import DEMONSTRATIONS, KINDS
 from pwm_gym.data.partial import PartialWindows, visible_rows
 from pwm_gym.data.windows import Windows, mixed
 from pwm_gym.dynamics.checkpoint import Checkpoint, SceneBank, load_checkpoint, resolve, save_checkpoint, use_device
@@ -321,6 +321,6 @@ def _describe(config: FitConfig, sources: Sequence[Dataset]) -> dict[str, Any]:
 def scene_bank(dataset: Dataset) -> SceneBank:
     """Initial scenes of the first demonstrations: practice starts where no episode of the task does."""
     kinds = np.array([KINDS[e.kind] for e in dataset.episodes])
-    shown = np.flatnonzero(np.isin(kinds, ("expert", "randomised")))[:BANK]
+    shown = np.flatnonzero(np.isin(kinds, DEMONSTRATIONS))[:BANK]
     places = shown if len(shown) else np.arange(min(BANK, len(kinds)))
     return bank_of(dataset, places.tolist(), [0] * len(places))

@@ -44,10 +44,10 @@ def test_a_low_tool_before_the_object_costs_and_a_high_one_does_not():
 
 
 def test_a_sliding_object_counts_where_it_comes_to_rest():
-    slide = pushes.Slide(slow=0.001, fast=0.002, turn=0.012)
+    slide = pushes.Slide(slow=0.001, fast=0.002, fast_from=0.012)
     speed, stop = 0.04, 0.0
     while speed > 0.0:
-        speed -= slide.fast if speed > slide.turn else slide.slow
+        speed -= slide.fast if speed > slide.fast_from else slide.slow
         stop += max(speed, 0.0)
     points, info = scene((0.0, 0.0, 0.2), (stop, 0.0, 0.0), velocity=0.04)
     left = float(pushes.goal_distance("object", slide)(points, info))
