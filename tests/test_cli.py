@@ -138,6 +138,7 @@ def test_long_lists_of_options_are_grouped(command, groups, capsys):
         (["demo", "--cost", "nothing.py:cost"], "no file 'nothing.py'"),
         (["demo", "--task", "Pick"], "unknown task 'Pick'"),
         (["collect", "--episodes", "-3"], "episodes=-3; expected at least 1"),
+        (["collect", "--on-policy", "1", "--practice", "0", "--policy", "nowhere"], "unknown policy 'nowhere'"),
         (["complete", "--evaluate"], "--evaluate has no objects to complete; expected --meshes FOLDER"),
         (["evaluate", "--table", "horizn"], "Did you mean 'horizon'"),
         (["evaluate", "--table", "shared"], "expected --checkpoints FOLDER"),

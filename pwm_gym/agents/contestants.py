@@ -16,13 +16,13 @@ from pwm_gym.agents.policy import FORMAT, load_agent
 from pwm_gym.dynamics import load_checkpoint, resolve
 from pwm_gym.errors import CheckpointError, PwmGymError, UnknownNameError
 from pwm_gym.planning import Agent, get_planner_config
-from pwm_gym.policies import ActsOnPoses, load_policy
+from pwm_gym.policies import ActsOnPoses, PolicyAgent, load_policy
 from pwm_gym.scene import RigidState, Scene
 from pwm_gym.scene.se3 import pose7_from_matrix
 from pwm_gym.schema import read_json
 from pwm_gym.tasks import Task
 
-__all__ = ["Begins", "contestant"]
+__all__ = ["Begins", "contestant", "contestant_agent"]
 
 
 @runtime_checkable
@@ -58,6 +58,21 @@ def contestant(spec: str, task: Task) -> ActsOnPoses:
     if described.get("task") != task.name:
         raise CheckpointError(f"{spec} is a policy of {described.get('task')}; expected one of {task.name}")
     return load_policy(spec)
+
+
+def contestant_agent(spec: str, task: Task) -> Agent:
+    """The same policy as something that acts on scenes, whose episodes are told apart by their seeds."""
+    return _Contestant(contestant(spec, task), task.name)
+
+
+class _Contestant(PolicyAgent):
+    """Tells its policy when an episode begins."""
+
+    def reset(self, seed: int) -> None:
+        """Begin the episode of ``seed``."""
+        super().reset(seed)
+        if isinstance(self.policy, Begins):
+            self.policy.begin([seed])
 
 
 class _Random:

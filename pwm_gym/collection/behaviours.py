@@ -17,7 +17,7 @@ from pwm_gym.tasks import Task
 __all__ = ["Behaviour", "Demonstration", "Mirrored", "OnPolicy", "Practice"]
 
 _LASTING = 0.9  # correlation of jitter from one step to the next
-_WHERE = 2  # of the generator that draws where a planned episode starts
+_WHERE, _NOISE = 2, 3  # of the generators that draw where an on-policy episode starts, and its jitter
 
 
 class Behaviour(Protocol):
@@ -62,6 +62,29 @@ class Mirrored:
         return self._behaviour.done(success)
 
 
+class Jitter:
+    """Noise on what actions ask of arms, which lasts from step to step (Laskey et al., DART, 2017).
+
+    Args:
+        task: the task.
+        rng: its source.
+        largest: each episode's standard deviation is drawn up to it, in action units.
+    """
+
+    def __init__(self, task: Task, rng: np.random.Generator, largest: float) -> None:
+        moves = np.array([kind not in ("gripper", "finger") for kind in task.control.kinds])
+        self._rng, self._size = rng, rng.uniform(0.0, largest) * moves if largest else None
+        self._noise = np.zeros(task.action_size)
+
+    def __call__(self, action: np.ndarray) -> np.ndarray:
+        """The action (A,) with noise."""
+        if self._size is None:
+            return action
+        fresh = self._rng.standard_normal(len(self._noise))
+        self._noise = _LASTING * self._noise + (1.0 - _LASTING**2) ** 0.5 * fresh
+        return np.clip(action + self._size * self._noise, -1.0, 1.0).astype(action.dtype)
+
+
 class Demonstration:
     """The expert; with probability ``randomise`` uniformly random from a uniformly drawn step (paper, appendix).
 
@@ -71,8 +94,7 @@ class Demonstration:
         length: steps of an episode that switches, within which the switch is drawn; None: the expert's mean length.
         randomise: probability of a switch.
         linger: steps that the expert goes on after success.
-        jitter: of the noise that is added to what the expert asks of arms, in action units: each episode's standard
-            deviation is drawn up to it. The expert puts right what it does (Laskey et al., DART, 2017).
+        jitter: largest, as of :class:`Jitter`. The expert puts right what it does.
     """
 
     def __init__(
@@ -90,9 +112,7 @@ class Demonstration:
         self.switch = int(rng.integers(0, self._length)) if rng.random() < randomise else -1
         self.kind = "expert" if self.switch < 0 else "randomised"
         self._step = 0
-        moves = np.array([kind not in ("gripper", "finger") for kind in task.control.kinds])
-        self._jitter = rng.uniform(0.0, jitter) * moves if jitter else None
-        self._noise = np.zeros(task.action_size)
+        self._jitter = Jitter(task, rng, jitter)
 
     def start(self, simulator: Simulator) -> None:
         """Nothing: demonstrations start where the task says."""
@@ -102,12 +122,7 @@ class Demonstration:
         self._step += 1
         if 0 <= self.switch < self._step:
             return uniform(self._rng, self._task.action_size)
-        action = self._expert.act(simulator.poses(), simulator.goal(), simulator.assets())
-        if self._jitter is None:
-            return action
-        fresh = self._rng.standard_normal(len(self._noise))
-        self._noise = _LASTING * self._noise + (1.0 - _LASTING**2) ** 0.5 * fresh
-        return np.clip(action + self._jitter * self._noise, -1.0, 1.0).astype(action.dtype)
+        return self._jitter(self._expert.act(simulator.poses(), simulator.goal(), simulator.assets()))
 
     def done(self, success: bool) -> bool:
         """Whether an expert's episode has lingered long enough, or a random one is as long as a demonstration."""
@@ -118,22 +133,26 @@ class Demonstration:
 
 
 class OnPolicy:
-    """A planner's own run in the simulator: what the model's mistakes lead to.
+    """A planner's or a policy's own run in the simulator: what the model's mistakes lead to.
 
     Args:
         task: the task.
-        agent: plans.
-        seed: of the planner's noise, and of where it starts.
+        agent: acts.
+        seed: of the planner's noise, of jitter, and of where it starts.
         linger: steps that it goes on after success.
         underway: of long tasks, probability that it starts where the expert is after a number of steps.
+        jitter: largest, as of :class:`Jitter`.
     """
 
     kind = "on_policy"
     switch = -1
 
-    def __init__(self, task: Task, agent: Agent, seed: int, linger: int = 5, underway: float = 0.85) -> None:
+    def __init__(
+        self, task: Task, agent: Agent, seed: int, linger: int = 5, underway: float = 0.85, jitter: float = 0.0
+    ) -> None:
         self._task, self._agent, self._linger = task, agent, linger
         self._rng = np.random.default_rng([seed, _WHERE])
+        self._jitter = Jitter(task, np.random.default_rng([seed, _NOISE]), jitter)
         self._underway = underway if task.expert_steps >= LONG else 0.0
         self._clouds: np.ndarray | None = None
         self._seen: deque[np.ndarray] = deque(maxlen=3)  # poses, newest first
@@ -161,7 +180,7 @@ class OnPolicy:
             last_action=self._last,
             assets=simulator.assets(),
         )
-        self._last = self._agent.act(scene).astype(np.float32)
+        self._last = self._jitter(self._agent.act(scene).astype(np.float32))
         return self._last
 
     def done(self, success: bool) -> bool:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
-from dataclasses import asdict
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, replace
 from pathlib import Path
 
 from tqdm import tqdm
@@ -18,6 +18,7 @@ from pwm_gym.data.episodes import KINDS
 from pwm_gym.data.simulated import check_objects
 from pwm_gym.errors import DatasetError
 from pwm_gym.files import write_atomically
+from pwm_gym.planning import Agent
 from pwm_gym.scene import SCHEMA
 from pwm_gym.seeds import RANGES
 from pwm_gym.sim import Simulator
@@ -28,7 +29,12 @@ from pwm_gym.workers import Workers, work_through
 __all__ = ["collect"]
 
 
-def collect(config: CollectConfig, progress: bool = True, workers: int | Workers | None = None) -> Path:
+def collect(
+    config: CollectConfig,
+    progress: bool = True,
+    workers: int | Workers | None = None,
+    agent: Callable[[Task], Agent] | None = None,
+) -> Path:
     """Collect a data set into ``config.folder`` and return that.
 
     Shards that exist and are whole are kept, so a killed run resumes; truncated ones are collected again.
@@ -38,14 +44,18 @@ def collect(config: CollectConfig, progress: bool = True, workers: int | Workers
         progress: whether to show a bar.
         workers: who collects; None takes ``config.workers`` processes of this machine. With ``config.warp`` this
             process does.
+        agent: makes the one that ``config.policy`` names, in whatever process; it must survive pickle.
 
     Raises:
-        DatasetError: the folder holds a data set of another task or configuration, or lost files meanwhile.
+        DatasetError: there is a policy and no agent, or the other way round; the folder holds a data set of another
+            task or configuration, or lost files meanwhile.
         PwmGymError: the task has no such objects, one of several processes died, or MuJoCo Warp was asked for and is
             not installed or cannot step the task.
     """
     task = get_task(config.task)
-    every = list(_shards(config))
+    if bool(config.policy) != (agent is not None):
+        raise DatasetError(f"policy={config.policy!r} and agent={agent}; expected both or neither")
+    every = [replace(shard, agent=agent) for shard in _shards(config)]
     worlds = _worlds(config, task, every) if config.warp else None
     _write_header(config, task)
     missing = [shard for shard in every if not shard.is_whole(task)]
@@ -81,7 +91,7 @@ def _check_complete(folder: Path, shards: list[Shard]) -> None:
 def _write_header(config: CollectConfig, task: Task) -> None:
     settings = {k: v for k, v in asdict(config).items() if k not in ("out", "workers", "episodes", "held_out")}
     settings["warp"] = config.warp > 0  # however many worlds
-    for name in ("objects", "jitter", "mirrored", "warp"):  # data sets of an earlier version do not tell them
+    for name in ("objects", "policy", "jitter", "mirrored", "warp"):  # data sets of an earlier version do not tell them
         if not settings[name]:
             del settings[name]
     header = {

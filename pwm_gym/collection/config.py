@@ -33,17 +33,20 @@ class CollectConfig:
     practice: float = 0.5
     """Share of practice episodes; what is left of both shares are demonstrations."""
     on_policy: float = 0.0
-    """Share of training episodes that a planner runs in the simulator with ``checkpoint``; it succeeds sooner than the
+    """Share of training episodes that a planner or a policy runs in the simulator. A planner succeeds sooner than the
     expert, so that they are short, but planning each takes half a minute."""
     checkpoint: str = "default"
     """Whose model plans the on-policy episodes: a folder or a shipped checkpoint's name."""
+    policy: str = ""
+    """What acts in the on-policy episodes instead: a folder of ``pwm-gym train-agent``, or another policy that
+    ``pwm-gym rank`` takes. So a model learns where an agent goes that was trained in it."""
     offset: int = 0
     """First seed of each split, so that several data sets of a task share none."""
     randomise: float = 0.2
     """Share of demonstrations that switch to random actions at a random step (the paper's 20 %)."""
     jitter: float = 0.0
-    """Largest standard deviation of the noise that is added to what an expert asks of arms, in action units, so that
-    data hold small mistakes and how they are put right."""
+    """Largest standard deviation of the noise that is added to what an expert, a planner or a policy asks of arms, in
+    action units, so that data hold small mistakes and how they are put right."""
     mirrored: float = 0.0
     """Share of episodes in scenes that are mirrored between the robot's left and right, for tasks whose furniture
     stands on one side always. Their goals stay."""
@@ -66,6 +69,8 @@ class CollectConfig:
                 raise DatasetError(f"{name}={getattr(self, name)}; expected a share from 0 to 1")
         if self.practice + self.on_policy > 1.0:
             raise DatasetError(f"practice={self.practice} and on_policy={self.on_policy}; expected at most 1 together")
+        if self.policy and not self.on_policy:
+            raise DatasetError(f"policy={self.policy!r} and on_policy={self.on_policy}; expected a share for it")
         if self.warp and self.on_policy:
             raise DatasetError(
                 f"warp={self.warp} and on_policy={self.on_policy}; expected one of them: plans share a planner"

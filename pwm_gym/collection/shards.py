@@ -27,7 +27,7 @@ SHARD_KINDS = ("demonstration", "practice", "on_policy")
 """Who acts in the episodes of a shard."""
 
 _PATIENCE = 1.8  # of an expert's usual length, after which a demonstration that has not succeeded ends
-_PLANNED_STEPS = 60
+_ON_POLICY_STEPS = 60
 _MIRROR = 1  # of the generator that draws which scenes are mirrored
 
 
@@ -40,6 +40,8 @@ class Shard:
     kind: str
     """One of :data:`SHARD_KINDS`."""
     config: CollectConfig
+    agent: Callable[[Task], Agent] | None = None
+    """Makes who acts in on-policy episodes; None: the planner with the model of the configuration's checkpoint."""
 
     def is_whole(self, task: Task) -> bool:
         """Whether the file holds all its episodes."""
@@ -51,12 +53,12 @@ class Shard:
     def limit(self, task: Task) -> int:
         """Steps of an episode at most."""
         longest = round(_PATIENCE * task.expert_steps)
-        return {"demonstration": longest, "practice": PRACTICE_STEPS, "on_policy": _PLANNED_STEPS}[self.kind]
+        return {"demonstration": longest, "practice": PRACTICE_STEPS, "on_policy": _ON_POLICY_STEPS}[self.kind]
 
     def behaviours(self, task: Task) -> Callable[[int], Behaviour]:
         """Who acts in the episode of a seed, in the task's own scene or in the mirrored one."""
         config, kind = self.config, SHARD_KINDS.index(self.kind)
-        act = self._planned(task) if self.kind == "on_policy" else partial(self._unplanned, task)
+        act = self._on_policy(task) if self.kind == "on_policy" else partial(self._unplanned, task)
 
         def make(seed: int) -> Behaviour:
             behaviour = act(seed)
@@ -65,10 +67,13 @@ class Shard:
 
         return make
 
-    def _planned(self, task: Task) -> Callable[[int], Behaviour]:
-        """A planner, for all episodes of the shard."""
-        agent = Agent(load_checkpoint(resolve(self.config.checkpoint, task.name)).model, task.name)
-        return partial(OnPolicy, task, agent)
+    def _on_policy(self, task: Task) -> Callable[[int], Behaviour]:
+        """A planner or a policy, for all episodes of the shard."""
+        if self.agent is None:
+            agent = Agent(load_checkpoint(resolve(self.config.checkpoint, task.name)).model, task.name)
+        else:
+            agent = self.agent(task)
+        return partial(OnPolicy, task, agent, jitter=self.config.jitter)
 
     def _unplanned(self, task: Task, seed: int) -> Behaviour:
         """Practice or a demonstration."""

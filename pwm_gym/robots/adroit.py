@@ -175,7 +175,7 @@ def _robot(name: str, arm: Forearm) -> Robot:
     return Robot(
         name=name,
         links=_LINKS,
-        control=Control(channels, (Arm("arm", "forearm", gantry=arm.gantry),), _PERIOD),
+        control=Control(channels, (Arm("arm", "forearm", gantry=arm.gantry, links=tuple(_JOINTS)),), _PERIOD),
         joints=_JOINTS,
         tool=tool_pose,
         action_names=(*arm.names, *_ACTUATED),

@@ -5,16 +5,18 @@ import subprocess
 import sys
 import time
 from dataclasses import fields, replace
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from pwm_gym.agents.contestants import contestant_agent
 from pwm_gym.collection import CollectConfig, collect
 from pwm_gym.collection.shards import Shard
 from pwm_gym.data import KINDS, Episode, load_split
-from pwm_gym.data.dataset import SPLITS
+from pwm_gym.data.dataset import SPLITS, read_header
 from pwm_gym.data.episodes import read_shard
 from pwm_gym.errors import DatasetError, PwmGymError, UnknownNameError
 from pwm_gym.seeds import split_of
@@ -210,6 +212,7 @@ def test_a_truncated_header_is_named(copied):
         ({"randomise": float("nan")}, "randomise=nan; expected a share"),
         ({"mirrored": 1.5}, "mirrored=1.5; expected a share from 0 to 1"),
         ({"practice": 0.7, "on_policy": 0.7}, "expected at most 1 together"),
+        ({"policy": "random"}, r"policy='random' and on_policy=0\.0; expected a share for it"),
         ({"mirrored": 0.5, "warp": 8}, "warp=8 and mirrored=0.5; expected one of them"),
     ],
 )
@@ -263,6 +266,32 @@ def test_a_planner_acts_in_episodes_of_its_own(data_config, tmp_path, monkeypatc
     for episode in load_split(collect(config, progress=False), "train").episodes:
         assert KINDS[episode.kind] == "on_policy" and len(episode) == 60
         np.testing.assert_allclose(episode.actions[3], np.sin(4 + np.arange(7)), rtol=1e-6)
+
+
+def test_a_policy_acts_in_the_planners_place(data_config, tmp_path):
+    """It is told when episodes begin; jitter goes to what it asks of the arm, and not to the gripper."""
+    noisy = partial(contestant_agent, "expert:0.2")
+    config = replace(
+        data_config, out=tmp_path / "set", episodes=2, held_out=1, practice=0.0, on_policy=1.0, policy="expert:0.2"
+    )
+    folder = collect(config, progress=False, agent=noisy)
+    assert read_header(folder).settings["policy"] == "expert:0.2"
+    plain = load_split(folder, "train").episodes
+    assert [KINDS[e.kind] for e in plain] == ["on_policy"] * 2
+    again = load_split(collect(replace(config, out=tmp_path / "again"), progress=False, agent=noisy), "train").episodes
+    np.testing.assert_array_equal(plain[1].actions, again[1].actions)
+    jittered = replace(config, out=tmp_path / "jittered", jitter=0.5)
+    moved = load_split(collect(jittered, progress=False, agent=noisy), "train").episodes
+    assert np.abs(moved[0].actions[0] - plain[0].actions[0])[:6].max() > 0.01
+    assert moved[0].actions[0, 6] == plain[0].actions[0, 6]
+
+
+@pytest.mark.parametrize(("policy", "agent"), [("random", None), ("", lambda task: None)])
+def test_a_policy_and_its_agent_go_together(data_config, tmp_path, policy, agent):
+    config = replace(data_config, out=tmp_path / "set", on_policy=0.5, policy=policy)
+    with pytest.raises(DatasetError, match="expected both or neither"):
+        collect(config, progress=False, agent=agent)
+    assert not config.folder.exists()
 
 
 @pytest.mark.slow

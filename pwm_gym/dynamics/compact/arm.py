@@ -46,8 +46,8 @@ class ArmResponse(JointResponse):
         self.arm, self._move, self._turn = arm, move, control.channel(arm.name, "rotation")
         self._yaw = control.channel(arm.name, "yaw")
 
-    def observe(self, hand: Tensor) -> Tensor:
-        """Joint positions and velocities (..., 2, J) behind hand poses (..., 3, 4, 4)."""
+    def observe(self, hand: Tensor, links: Tensor) -> Tensor:
+        """Joint positions and velocities (..., 2, J) behind hand poses (..., 3, 4, 4); no links hang on it."""
         rest = self.kinematics.rest.expand(*hand.shape[:-3], -1)
         now, _ = self.kinematics.solve(hand[..., 0, :, :], rest, 20)
         before, _ = self.kinematics.solve(hand[..., 1, :, :], now, _ITERATIONS)

@@ -38,8 +38,8 @@ class JointResponse(nn.Module):
     """Joint steps under actions.
 
     Args:
-        kinematics: hand poses (..., 4, 4) of joint positions (..., J), and ``limit``.
-        joints: J.
+        kinematics: hand poses (..., 4, 4) of joint positions (..., J'), and ``limit``.
+        joints: J; the first J' of them bring the hand about, the others the links that hang on it.
         moves: numbers that the linear part follows from.
         known: numbers that the remainder follows from.
         width: channels of the remainder's network.
@@ -66,9 +66,20 @@ class JointResponse(nn.Module):
         nn.init.zeros_(self.net[-1].weight)  # type: ignore[arg-type]
         nn.init.zeros_(self.net[-1].bias)  # type: ignore[arg-type]
 
-    def observe(self, hand: Tensor) -> Tensor:
-        """Joint positions and velocities (..., 2, J) behind hand poses (..., 3, 4, 4)."""
+    def observe(self, hand: Tensor, links: Tensor) -> Tensor:
+        """Joint positions and velocities (..., 2, J) behind hand poses (..., 3, 4, 4) and links' positions (..., 3, K).
+
+        K is how many links there are, J - J'.
+        """
         raise NotImplementedError
+
+    def hand(self, joints: Tensor) -> Tensor:
+        """The hand's pose (..., 4, 4) at joint positions (..., J)."""
+        return self.kinematics(joints)  # type: ignore[no-any-return]
+
+    def limit(self, joints: Tensor) -> Tensor:
+        """Joint positions (..., J) within their limits."""
+        return self.kinematics.limit(joints)  # type: ignore[no-any-return]
 
     def forward(self, joints: Tensor, action: Tensor, hand: Tensor, floor: float) -> ArmForecast:
         """The next step of joints (B, 2, J) under actions (B, A).
