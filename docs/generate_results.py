@@ -53,6 +53,7 @@ _TASKS = {
     "FetchPickAndPlace": "evaluate_fetch_pick_and_place",
     "FetchSlide": "evaluate_fetch_slide",
     "OGBenchCubeSingle": "evaluate_ogbench_cube_single",
+    "OGBenchCubeDouble": "evaluate_ogbench_cube_double",
     "AdroitHandDoor": "evaluate_adroit_hand_door",
     "AdroitHandRelocate": "evaluate_adroit_hand_relocate",
     "TwoArmBoxCleanup": "evaluate_two_arm_box_cleanup",
@@ -71,6 +72,7 @@ _PAPER = {
     "FetchPickAndPlace": "none",
     "FetchSlide": "none",
     "OGBenchCubeSingle": "none",
+    "OGBenchCubeDouble": "none",
     "AdroitHandDoor": "none",
     "AdroitHandRelocate": "none",
     "TwoArmBoxCleanup": "0.022 m and 0.83",
@@ -90,6 +92,7 @@ _PLANNED = {
     "FetchPickAndPlace": "plan_fetch_pick_and_place",
     "FetchSlide": "plan_fetch_slide",
     "OGBenchCubeSingle": "plan_ogbench_cube_single",
+    "OGBenchCubeDouble": "plan_ogbench_cube_double",
     "TwoArmBoxCleanup": "plan_two_arm_box_cleanup",
     "TwoArmDrawerCleanup": "plan_two_arm_drawer_cleanup",
 }
@@ -117,8 +120,7 @@ _LIMITS = """## What these figures do not show
 
 - Clouds are complete and come from the simulator's meshes, but for the baselines marked "partial" and the sections on
   completion, where the object is segmented by the simulator's ids: errors of segmentation are not in any row.
-- Tasks of six robots; OGBench's two cubes have no model yet. What a model makes of shapes that it
-  never saw is told for ten objects alone.
+- Tasks of six robots. What a model makes of shapes that it never saw is told for ten objects alone.
 - The arm's kinematics and its controller are known to the default model and to no baseline; the table of the arm, where
   it is given, tells what that is worth.
 - All rows are trained by Muon and AdamW, the networks of points with a lower learning rate (0.002) than the default

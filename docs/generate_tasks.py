@@ -27,14 +27,14 @@ _MORE = {
     '2 mm off its target holds; `info["holding"]` names it.\n',
     "TwoArmDrawerCleanup": "In ManiSkill, too: `import pwm_gym.sim.maniskill.scenes` registers "
     "`TwoArmDrawerCleanup-v1` there. The robot is TwoArmBoxCleanup's.\n",
-    "AdroitHandDoor": "No checkpoint comes with it. Its script, whose numbers were found by the cross-entropy method, "
+    "AdroitHandDoor": "Its script, whose numbers were found by the cross-entropy method, "
     "opens the door in most episodes. The reward is Gymnasium-Robotics' own, whose first term pays for "
     "distance from the handle; planners get a cost of their own.\n",
     "OGBenchCubeSingle": "OGBench's `cube-single` (extra `ogbench`), whose own evaluation tasks are starts: "
     "[mujoco.md](mujoco.md#ogbench).\n",
     "OGBenchCubeDouble": "OGBench's `cube-double` (extra `ogbench`), whose own evaluation tasks are starts: "
-    "[mujoco.md](mujoco.md#ogbench). No checkpoint comes with it.\n",
-    "AdroitHandRelocate": "No checkpoint comes with it. Its script, whose numbers were found by the cross-entropy "
+    "[mujoco.md](mujoco.md#ogbench).\n",
+    "AdroitHandRelocate": "Its script, whose numbers were found by the cross-entropy "
     "method, brings the ball to its goal. The reward is Gymnasium-Robotics' own, whose first "
     "term pays for distance from the ball; planners get a cost of their own.\n",
 }

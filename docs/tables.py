@@ -35,6 +35,7 @@ _MUJOCO_TASKS = {
     "FetchPickAndPlace": "fetch_pick_and_place",
     "FetchSlide": "fetch_slide",
     "OGBenchCubeSingle": "ogbench_cube_single",
+    "OGBenchCubeDouble": "ogbench_cube_double",
 }
 _TWO_ARM_TASKS = {"TwoArmBoxCleanup": "two_arm_box_cleanup", "TwoArmDrawerCleanup": "two_arm_drawer_cleanup"}
 

@@ -101,6 +101,14 @@ pwm-gym train --data data-sets/OGBenchCubeSingle --out runs/cube --threads 1 --a
     --phases 1 700 256 5 300 128 15 200 96
 ```
 
+`ogbench-cubes` went on from it with two cubes: 19 minutes of one processor beside others.
+
+```
+pwm-gym collect --task OGBenchCubeDouble --episodes 400 --held-out 30 --practice 0.5
+pwm-gym train --data data-sets/OGBenchCubeDouble --init ogbench-cube --out runs/cubes --threads 1 --arm-steps 1500 \\
+    --error-steps 1000 --learning-rate 0.002 --phases 1 700 256 5 500 128 15 350 96
+```
+
 `adroit-door` and `adroit-relocate` are of one task each: 30 minutes of one processor beside the other.
 
 ```

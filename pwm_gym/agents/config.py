@@ -39,6 +39,9 @@ class AgentConfig:
     """Where it learns: in the world "model", or in its simulator twin, "sim"."""
     checkpoint: str = "default"
     """The world model's folder or a shipped name."""
+    init: str = ""
+    """Folder of a run whose policy, critics included, training starts from: of the same task, algorithm, observation
+    and width. So an agent goes on in another world, or in a model that was trained further."""
     steps: int = 5_000_000
     """Environment steps in all."""
     num_envs: int = 0

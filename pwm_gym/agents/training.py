@@ -113,7 +113,26 @@ def _learner(task: Task, config: AgentConfig, world: Any, out: Path) -> BaseAlgo
         except Exception as error:  # of a pickle: whatever it may be
             raise CheckpointError(f"{path} is truncated or foreign ({error}); delete it to start anew") from error
     shapes = policy_settings(task, config)
-    return kind(policy_name(config), world, policy_kwargs=shapes, **config.settings())
+    learner = kind(policy_name(config), world, policy_kwargs=shapes, **config.settings())
+    if config.init:
+        learner.policy.load_state_dict(_begun(task, config, kind).policy.state_dict())
+    return learner
+
+
+def _begun(task: Task, config: AgentConfig, kind: Any) -> BaseAlgorithm:
+    """The algorithm of the run that ``config.init`` names."""
+    folder = Path(config.init)
+    if not (folder / _PROGRESS).exists():
+        raise CheckpointError(f"init={config.init!r} holds no run; expected a folder of pwm-gym train-agent")
+    run = read_json(folder / _PROGRESS, _Progress, CheckpointError).run
+    mine = {"task": task.name, **{key: getattr(config, key) for key in ("algorithm", "observation", "width")}}
+    if other := {key: run.get(key) for key, value in mine.items() if run.get(key) != value}:
+        wanted = {key: mine[key] for key in other}
+        raise CheckpointError(f"init={config.init!r} is a run of {other}; expected {wanted}")
+    try:
+        return kind.load(folder / _STATE, device="cpu")  # type: ignore[no-any-return]
+    except Exception as error:  # of a pickle: whatever it may be
+        raise CheckpointError(f"{folder / _STATE} is missing, truncated or foreign ({error})") from error
 
 
 class _Saver(BaseCallback):

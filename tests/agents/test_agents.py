@@ -138,6 +138,35 @@ def test_a_run_goes_on_where_it_was(trained, tmp_path):
 
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
+def test_a_run_starts_from_another_ones_policy(trained, tmp_path, algorithm):
+    """One step later it still acts much as that did; its own steps are counted from 0."""
+    config = replace(SMALL, algorithm=algorithm, init=str(trained[algorithm][0]), steps=16, learning_rate=1e-9)
+    took = train("PickCube", tmp_path / "further", config, progress=False)
+    assert 16 <= took["steps"] <= 256
+    gap = _far(load_agent(tmp_path / "further"), load_agent(trained[algorithm][0]))
+    assert 0.0 <= gap < 1e-3
+    fresh = train("PickCube", tmp_path / "fresh", replace(config, init=""), progress=False)
+    assert fresh["steps"] == took["steps"]
+    assert _far(load_agent(tmp_path / "fresh"), load_agent(trained[algorithm][0])) > 10 * gap + 1e-3
+
+
+def test_another_kind_of_run_is_no_beginning(trained, tmp_path):
+    folder = str(trained["ppo"][0])
+    for change, message in (
+        ({"init": str(tmp_path)}, "holds no run; expected a folder of pwm-gym train-agent"),
+        ({"init": folder, "width": 32}, r"is a run of \{'width': 16\}; expected \{'width': 32\}"),
+        ({"init": folder, "algorithm": "sac"}, r"is a run of \{'algorithm': 'ppo'\}; expected \{'algorithm': 'sac'\}"),
+    ):
+        with pytest.raises(CheckpointError, match=message):
+            train("PickCube", tmp_path / "other", replace(SMALL, **change), progress=False)
+        shutil.rmtree(tmp_path / "other")
+    broken = shutil.copytree(folder, tmp_path / "broken")
+    (broken / "training-state.zip").write_bytes(b"PK")
+    with pytest.raises(CheckpointError, match=r"training-state\.zip is missing, truncated or foreign"):
+        train("PickCube", tmp_path / "other", replace(SMALL, init=str(broken)), progress=False)
+
+
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_it_acts_where_a_planner_does(trained, scene, algorithm):
     policy = load_agent(trained[algorithm][0], "PickCube")
     agent = PolicyAgent(policy, "PickCube")
