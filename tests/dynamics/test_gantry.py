@@ -71,7 +71,9 @@ def test_joints_are_observed_behind_a_hand(response):
     positions = torch.stack([following[:, 0], joints[:, 0], joints[:, 0]], 1)
     seen = response.observe(response.hand(positions), positions[..., COUNT:])
     torch.testing.assert_close(seen[:, 0], following[:, 0], atol=1e-5, rtol=0)
-    torch.testing.assert_close(seen[:, 1], response.braking * (following[:, 0] - joints[:, 0]), atol=2e-5, rtol=0)
+    moved = following[:, 0] - joints[:, 0]
+    torch.testing.assert_close(seen[:, 1, :COUNT], response.braking * moved[:, :COUNT], atol=2e-5, rtol=0)
+    torch.testing.assert_close(seen[:, 1, COUNT:], response.links.braking * moved[:, COUNT:], atol=2e-5, rtol=0)
 
 
 def test_a_gantry_without_links_has_its_own_targets_alone():
@@ -109,7 +111,7 @@ def test_a_hands_links_stand_at_its_joints():
     simulator.close()
     state = model.prepare(batch_state([scene]))
     assert state.joints.shape == (1, 2, task.action_size)
-    model.robot.arms[0].weight[-1] = 0.05  # every joint goes on, whatever it is told
+    model.robot.arms[0].links.weight[-1] = 0.05  # every joint goes on, whatever it is told
     for _ in range(40):
         state = model.step(state, torch.zeros(1, task.action_size))
     tree = model.robot.response.tree

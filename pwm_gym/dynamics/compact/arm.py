@@ -128,4 +128,6 @@ class ArmResponse(JointResponse):
         hand = self.kinematics(joints[:, 0])
         command = self.command(joints[:, 0], action, hand)
         moved = self._fit_linear(torch.cat([command, joints[:, 1]], 1), joints, following)
-        self._descend(lambda rows: self.respond(joints[rows], command[rows], hand[rows], floor), moved, steps)
+        self._descend(
+            lambda rows: self.respond(joints[rows], command[rows], hand[rows], floor).step.flatten(1), moved, steps
+        )

@@ -6,52 +6,87 @@ learned remainder. A joint with a target never rests for want of a command, and 
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import torch
 from torch import Tensor
 
-from pwm_gym.dynamics.compact.joint_response import ArmForecast, JointResponse
+from pwm_gym.dynamics.compact.joint_response import ArmForecast, JointResponse, Servo
 from pwm_gym.errors import PwmGymError
 from pwm_gym.robots import Arm, Control, GantryKinematics
 from pwm_gym.robots.gantry import SOFT
 
-__all__ = ["GantryResponse"]
+__all__ = ["GantryResponse", "LinkResponse"]
+
+_FAST = 20.0  # by which velocities are multiplied to be of order 1
+
+
+class LinkResponse(Servo):
+    """Steps of the joints of links that hang on a hand, under targets of their own.
+
+    Args:
+        limits: lowest and highest positions (2, K) of the joints.
+        width: channels of the remainder's network.
+    """
+
+    lower: Tensor
+    upper: Tensor
+
+    def __init__(self, limits: Tensor, width: int) -> None:
+        count = limits.shape[1]
+        super().__init__(count, 3 * count + 1, 3 * count, width)
+        lower, upper = limits
+        soft = SOFT * (upper - lower)
+        self.register_buffer("lower", lower - soft, persistent=False)
+        self.register_buffer("upper", upper + soft, persistent=False)
+
+    def forward(self, joints: Tensor, targets: Tensor) -> Tensor:
+        """Steps and next velocities (B, 2, K) of joints (B, 2, K) under targets (B, K)."""
+        known = torch.cat([targets, joints[:, 0], _FAST * joints[:, 1]], 1)
+        always = joints.new_ones(len(joints), 1)
+        return self._steps(_moves(joints, targets), known, always).unflatten(1, (2, -1))
+
+    def limit(self, joints: Tensor) -> Tensor:
+        """Joint positions (..., K) within what their springs allow."""
+        return torch.minimum(torch.maximum(joints, self.lower), self.upper)
+
+    def fit(self, joints: Tensor, targets: Tensor, following: Tensor, steps: int) -> None:
+        """Least squares, then gradient descent on the remainder; joints (B, 2, K) before and after transitions."""
+        moved = self._fit_linear(_moves(joints, targets), joints, following)
+        self._descend(lambda rows: self(joints[rows], targets[rows]).flatten(1), moved, steps)
 
 
 class GantryResponse(JointResponse):
     """Joint steps under targets: of the gantry, and of the links on its hand that have targets, too.
 
-    They are one response: what bends the fingers swings the forearm.
-
     Args:
         arm: the arm; its gantry is known.
         control: its channels of joints and fingers have a target for each.
-        width: channels of the remainder's network.
+        width: channels of the remainders' networks.
         limits: lowest and highest positions (2, K) of the joints of ``arm.links``; None where it has none.
 
     Raises:
         PwmGymError: the arm has no gantry, or actions have no target for each joint.
     """
 
-    lower: Tensor
-    upper: Tensor
-
     def __init__(self, arm: Arm, control: Control, width: int = 128, limits: Tensor | None = None) -> None:
         targets = _targets(arm, control)
-        count = arm.joints.stop - arm.joints.start
-        if arm.gantry is None or len(targets) != count:
+        if arm.gantry is None or len(targets) != arm.joints.stop - arm.joints.start:
             raise PwmGymError(f"arm {arm.name!r} is no known gantry, or no channel has a target for each of its joints")
-        super().__init__(GantryKinematics(arm.gantry), count, 3 * count + 1, 3 * count + 5, width)
-        self.arm, self.own, self._targets = arm, arm.gantry.joints, targets
-        lower, upper = torch.zeros(2, len(arm.links)) if limits is None else limits
-        soft = SOFT * (upper - lower)
-        self.register_buffer("lower", lower - soft, persistent=False)
-        self.register_buffer("upper", upper + soft, persistent=False)
+        own = arm.gantry.joints
+        super().__init__(GantryKinematics(arm.gantry), own, 3 * own + 1, 3 * own + 5, width)
+        self.arm, self.own, self._targets = arm, own, targets
+        self.joints = len(targets)
+        self.links = LinkResponse(limits, width) if limits is not None and limits.numel() else None
 
     def observe(self, hand: Tensor, links: Tensor) -> Tensor:
         """Joint positions and velocities (..., 2, J) behind hand poses (..., 3, 4, 4) and links at (..., 3, K)."""
         own = self.kinematics.solve(hand)
-        now, before = torch.cat([own, links], -1)[..., :2, :].unbind(-2)
-        return torch.stack([now, self.braking * (now - before)], -2)
+        found = torch.stack([own[..., 0, :], self.braking * (own[..., 0, :] - own[..., 1, :])], -2)
+        if self.links is None:
+            return found
+        speeds = self.links.braking * (links[..., 0, :] - links[..., 1, :])
+        return torch.cat([found, torch.stack([links[..., 0, :], speeds], -2)], -1)
 
     def hand(self, joints: Tensor) -> Tensor:
         """The hand's pose (..., 4, 4) at joint positions (..., J)."""
@@ -59,8 +94,8 @@ class GantryResponse(JointResponse):
 
     def limit(self, joints: Tensor) -> Tensor:
         """Joint positions (..., J) within what their springs allow."""
-        links = torch.minimum(torch.maximum(joints[..., self.own :], self.lower), self.upper)
-        return torch.cat([self.kinematics.limit(joints[..., : self.own]), links], -1)
+        own = self.kinematics.limit(joints[..., : self.own])
+        return own if self.links is None else torch.cat([own, self.links.limit(joints[..., self.own :])], -1)
 
     def reach(self, hand: Tensor, joints: Tensor) -> Tensor:
         """Joint positions (B, J) at which the hand is at ``hand`` (B, 4, 4); links stay at those of ``joints``."""
@@ -68,28 +103,44 @@ class GantryResponse(JointResponse):
 
     def forward(self, joints: Tensor, action: Tensor, hand: Tensor, floor: float) -> ArmForecast:
         """The next step of joints (B, 2, J) under actions (B, A)."""
+        targets = action[:, self._targets]
+        forecast = self._gantry(joints[..., : self.own], targets[:, : self.own], hand, floor)
+        if self.links is None:
+            return forecast
+        step = self.links(joints[..., self.own :], targets[:, self.own :])
+        return replace(forecast, step=torch.cat([forecast.step, step], 2))
+
+    def _gantry(self, joints: Tensor, targets: Tensor, hand: Tensor, floor: float) -> ArmForecast:
+        """The next step of the gantry's joints (B, 2, J')."""
         position, velocity = joints.unbind(1)
         height = hand[:, 2, 3:] - floor
         parts = [
-            action[:, self._targets],
+            targets,
             position,
-            20.0 * velocity,
+            _FAST * velocity,
             torch.tanh(height / 0.02),
             torch.tanh(height / 0.1),
             hand[:, 2, :3],
         ]
         always = joints.new_ones(len(joints), 1)  # a target asks for motion wherever the joint is not there yet
-        return self._forecast(self._moves(joints, action), torch.cat(parts, 1), always)
-
-    def _moves(self, joints: Tensor, action: Tensor) -> Tensor:
-        """What the linear part follows from (B, 3 J + 1): targets, positions, velocities and a constant."""
-        return torch.cat([action[:, self._targets], *joints.unbind(1), joints.new_ones(len(joints), 1)], 1)
+        return self._forecast(_moves(joints, targets), torch.cat(parts, 1), always)
 
     def fit(self, joints: Tensor, action: Tensor, following: Tensor, steps: int, floor: float) -> None:
-        """Least squares, then gradient descent on the remainder."""
+        """Least squares, then gradient descent on the remainders."""
+        targets = action[:, self._targets]
+        own, goals, after = joints[..., : self.own], targets[:, : self.own], following[..., : self.own]
         hand = self.hand(joints[:, 0])
-        moved = self._fit_linear(self._moves(joints, action), joints, following)
-        self._descend(lambda rows: self(joints[rows], action[rows], hand[rows], floor), moved, steps)
+        moved = self._fit_linear(_moves(own, goals), own, after)
+        self._descend(
+            lambda rows: self._gantry(own[rows], goals[rows], hand[rows], floor).step.flatten(1), moved, steps
+        )
+        if self.links is not None:
+            self.links.fit(joints[..., self.own :], targets[:, self.own :], following[..., self.own :], steps)
+
+
+def _moves(joints: Tensor, targets: Tensor) -> Tensor:
+    """What linear parts follow from (B, 3 J + 1): targets, positions, velocities and a constant."""
+    return torch.cat([targets, *joints.unbind(1), joints.new_ones(len(joints), 1)], 1)
 
 
 def _targets(arm: Arm, control: Control) -> list[int]:
