@@ -130,7 +130,7 @@ def _begun(task: Task, config: AgentConfig, kind: Any) -> BaseAlgorithm:
         wanted = {key: mine[key] for key in other}
         raise CheckpointError(f"init={config.init!r} is a run of {other}; expected {wanted}")
     try:
-        return kind.load(folder / _STATE, device="cpu")  # type: ignore[no-any-return]
+        return kind.load(folder / _STATE, device="cpu")
     except Exception as error:  # of a pickle: whatever it may be
         raise CheckpointError(f"{folder / _STATE} is missing, truncated or foreign ({error})") from error
 

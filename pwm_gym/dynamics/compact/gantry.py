@@ -90,7 +90,7 @@ class GantryResponse(JointResponse):
 
     def hand(self, joints: Tensor) -> Tensor:
         """The hand's pose (..., 4, 4) at joint positions (..., J)."""
-        return self.kinematics(joints[..., : self.own])  # type: ignore[no-any-return]
+        return self.kinematics(joints[..., : self.own])
 
     def limit(self, joints: Tensor) -> Tensor:
         """Joint positions (..., J) within what their springs allow."""

@@ -113,11 +113,11 @@ class JointResponse(Servo):
 
     def hand(self, joints: Tensor) -> Tensor:
         """The hand's pose (..., 4, 4) at joint positions (..., J)."""
-        return self.kinematics(joints)  # type: ignore[no-any-return]
+        return self.kinematics(joints)
 
     def limit(self, joints: Tensor) -> Tensor:
         """Joint positions (..., J) within their limits."""
-        return self.kinematics.limit(joints)  # type: ignore[no-any-return]
+        return self.kinematics.limit(joints)
 
     def forward(self, joints: Tensor, action: Tensor, hand: Tensor, floor: float) -> ArmForecast:
         """The next step of joints (B, 2, J) under actions (B, A).
