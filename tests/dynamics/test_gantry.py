@@ -94,6 +94,15 @@ def test_links_go_past_their_limits_like_springs(response):
     torch.testing.assert_close(response.limit(-far)[:, COUNT:], -torch.ones(1, 2))
 
 
+def test_links_are_hardly_faster_than_ever_observed(response):
+    """Whatever a rollout came to, its velocities stay finite."""
+    _, _, following = transitions(4000, 0)
+    found = response.slow(torch.full((1, 2, ALL), 1e6))
+    assert (found[..., :COUNT] == 1e6).all()
+    assert (found[..., COUNT:] < 2.0).all()
+    assert (found[0, 1, COUNT:] >= following[:, 1, COUNT:].amax(0)).all()
+
+
 def test_a_hands_links_stand_at_its_joints():
     """What the model carries as joints and what it shows are one, past the links' limits, too."""
     task = get_task("AdroitHandRelocate")

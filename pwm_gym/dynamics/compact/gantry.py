@@ -18,6 +18,7 @@ from pwm_gym.robots.gantry import SOFT
 
 __all__ = ["GantryResponse", "LinkResponse"]
 
+_FASTER = 1.2  # than the fastest that was observed, links may be
 _FAST = 20.0  # by which velocities are multiplied to be of order 1
 
 
@@ -31,10 +32,12 @@ class LinkResponse(Servo):
 
     lower: Tensor
     upper: Tensor
+    fastest: Tensor
 
     def __init__(self, limits: Tensor, width: int) -> None:
         count = limits.shape[1]
         super().__init__(count, 3 * count + 1, 3 * count, width)
+        self.register_buffer("fastest", torch.full((count,), torch.inf))  # steps, as ever observed
         lower, upper = limits
         soft = SOFT * (upper - lower)
         self.register_buffer("lower", lower - soft, persistent=False)
@@ -50,9 +53,14 @@ class LinkResponse(Servo):
         """Joint positions (..., K) within what their springs allow."""
         return torch.minimum(torch.maximum(joints, self.lower), self.upper)
 
+    def slow(self, steps: Tensor) -> Tensor:
+        """Steps and next velocities (..., K) hardly faster than ever observed."""
+        return torch.minimum(torch.maximum(steps, -self.fastest), self.fastest)
+
     def fit(self, joints: Tensor, targets: Tensor, following: Tensor, steps: int) -> None:
         """Least squares, then gradient descent on the remainder; joints (B, 2, K) before and after transitions."""
         moved = self._fit_linear(_moves(joints, targets), joints, following)
+        self.fastest.copy_(_FASTER * moved.abs().amax((0, 1)))
         self._descend(lambda rows: self(joints[rows], targets[rows]).flatten(1), moved, steps)
 
 
@@ -96,6 +104,15 @@ class GantryResponse(JointResponse):
         """Joint positions (..., J) within what their springs allow."""
         own = self.kinematics.limit(joints[..., : self.own])
         return own if self.links is None else torch.cat([own, self.links.limit(joints[..., self.own :])], -1)
+
+    def slow(self, steps: Tensor) -> Tensor:
+        """Steps and next velocities (..., J), those of links hardly faster than ever observed.
+
+        Positions have limits, velocities have none: a rollout that leaves what was observed would go ever faster.
+        """
+        if self.links is None:
+            return steps
+        return torch.cat([steps[..., : self.own], self.links.slow(steps[..., self.own :])], -1)
 
     def reach(self, hand: Tensor, joints: Tensor) -> Tensor:
         """Joint positions (B, J) at which the hand is at ``hand`` (B, 4, 4); links stay at those of ``joints``."""

@@ -119,6 +119,10 @@ class JointResponse(Servo):
         """Joint positions (..., J) within their limits."""
         return self.kinematics.limit(joints)
 
+    def slow(self, steps: Tensor) -> Tensor:
+        """Steps and next velocities (..., J) that joints can make."""
+        return steps
+
     def forward(self, joints: Tensor, action: Tensor, hand: Tensor, floor: float) -> ArmForecast:
         """The next step of joints (B, 2, J) under actions (B, A).
 

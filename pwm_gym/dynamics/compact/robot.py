@@ -165,7 +165,7 @@ class RobotMotion(nn.Module):
                 assert joints is not None, "prepare() the state first"
                 own = joints[..., self.slices[k]]
                 arms[k] = forecast = arm(own, action, now[:, k], floor)
-                angles = own[:, 0] + forecast.step[:, 0]
+                angles = own[:, 0] + arm.slow(forecast.step[:, 0])
                 hands[k] = arm.hand(angles)
                 reached = self._with_followers(k, reached, arm.limit(angles))
         after = torch.stack(hands, 1) if hands else now
@@ -228,7 +228,7 @@ class RobotMotion(nn.Module):
                 assert joints is not None
                 learned = self._with_links(k, learned.unflatten(1, (2, -1)), tokens)
                 correction = STEP * known.motion_gate.unsqueeze(1) * learned
-                step, velocity = (known.step + correction).unbind(1)
+                step, velocity = arm.slow(known.step + correction).unbind(1)
                 angles = arm.limit(joints[:, 0, self.slices[k]] + step)
                 found.append(torch.stack([angles, velocity], 1))
                 hands.append(arm.hand(angles))
