@@ -19,6 +19,7 @@ from pwm_gym.robots.gantry import SOFT
 __all__ = ["GantryResponse", "LinkResponse"]
 
 _FASTER = 1.2  # than the fastest that was observed, links may be
+_STOP = 0.02  # metres and radians, within which a joint's limit stops it
 _FAST = 20.0  # by which velocities are multiplied to be of order 1
 
 
@@ -36,22 +37,21 @@ class LinkResponse(Servo):
 
     def __init__(self, limits: Tensor, width: int) -> None:
         count = limits.shape[1]
-        super().__init__(count, 3 * count + 1, 3 * count, width)
+        super().__init__(count, 3 * count + 1, 5 * count, width)
         self.register_buffer("fastest", torch.full((count,), torch.inf))  # steps, as ever observed
-        lower, upper = limits
-        soft = SOFT * (upper - lower)
-        self.register_buffer("lower", lower - soft, persistent=False)
-        self.register_buffer("upper", upper + soft, persistent=False)
+        self.register_buffer("lower", limits[0], persistent=False)
+        self.register_buffer("upper", limits[1], persistent=False)
 
     def forward(self, joints: Tensor, targets: Tensor) -> Tensor:
         """Steps and next velocities (B, 2, K) of joints (B, 2, K) under targets (B, K)."""
-        known = torch.cat([targets, joints[:, 0], _FAST * joints[:, 1]], 1)
+        known = torch.cat([targets, joints[:, 0], _FAST * joints[:, 1], *_stops(joints, self.lower, self.upper)], 1)
         always = joints.new_ones(len(joints), 1)
         return self._steps(_moves(joints, targets), known, always).unflatten(1, (2, -1))
 
     def limit(self, joints: Tensor) -> Tensor:
         """Joint positions (..., K) within what their springs allow."""
-        return torch.minimum(torch.maximum(joints, self.lower), self.upper)
+        soft = SOFT * (self.upper - self.lower)
+        return torch.minimum(torch.maximum(joints, self.lower - soft), self.upper + soft)
 
     def slow(self, steps: Tensor) -> Tensor:
         """Steps and next velocities (..., K) hardly faster than ever observed."""
@@ -77,12 +77,17 @@ class GantryResponse(JointResponse):
         PwmGymError: the arm has no gantry, or actions have no target for each joint.
     """
 
+    lower: Tensor
+    upper: Tensor
+
     def __init__(self, arm: Arm, control: Control, width: int = 128, limits: Tensor | None = None) -> None:
         targets = _targets(arm, control)
         if arm.gantry is None or len(targets) != arm.joints.stop - arm.joints.start:
             raise PwmGymError(f"arm {arm.name!r} is no known gantry, or no channel has a target for each of its joints")
         own = arm.gantry.joints
-        super().__init__(GantryKinematics(arm.gantry), own, 3 * own + 1, 3 * own + 5, width)
+        super().__init__(GantryKinematics(arm.gantry), own, 3 * own + 1, 5 * own + 5, width)
+        self.register_buffer("lower", torch.tensor(arm.gantry.lower), persistent=False)
+        self.register_buffer("upper", torch.tensor(arm.gantry.upper), persistent=False)
         self.arm, self.own, self._targets = arm, own, targets
         self.joints = len(targets)
         self.links = LinkResponse(limits, width) if limits is not None and limits.numel() else None
@@ -135,6 +140,7 @@ class GantryResponse(JointResponse):
             targets,
             position,
             _FAST * velocity,
+            *_stops(joints, self.lower, self.upper),
             torch.tanh(height / 0.02),
             torch.tanh(height / 0.1),
             hand[:, 2, :3],
@@ -153,6 +159,12 @@ class GantryResponse(JointResponse):
         )
         if self.links is not None:
             self.links.fit(joints[..., self.own :], targets[:, self.own :], following[..., self.own :], steps)
+
+
+def _stops(joints: Tensor, lower: Tensor, upper: Tensor) -> tuple[Tensor, Tensor]:
+    """How far past its limits (J,) each joint of (B, 2, J) would be one step later, (B, J) each, in (-1, 1)."""
+    ahead = joints[:, 0] + joints[:, 1]
+    return torch.tanh((lower - ahead) / _STOP), torch.tanh((ahead - upper) / _STOP)
 
 
 def _moves(joints: Tensor, targets: Tensor) -> Tensor:
