@@ -38,10 +38,10 @@ def learned() -> str:
         result = read(name)
         if result is not None:
             took = result["training"]
-            minutes = _took(took)
+            minutes, model = _took(took), _model_took(took)
             if (before := read(_AFTER.get(name, ""))) is not None:
                 minutes += f", after {_took(before['training'])}"
-            model = f"{took['model_minutes']:.0f} min, {took['model_data_steps']:,} steps"
+                model += f", after {_model_took(before['training'])}"
             rows.append([label, *success(result), minutes, model])
             sources.append(source(name, result))
     if not rows:
@@ -61,6 +61,10 @@ def learned() -> str:
 
 def _took(training: dict[str, Any]) -> str:
     return f"{training['seconds'] / 60:.0f} min, {training['steps'] / 1e6:.1f} M steps"
+
+
+def _model_took(training: dict[str, Any]) -> str:
+    return f"{training['model_minutes']:.0f} min, {training['model_data_steps']:,} steps"
 
 
 def ranked() -> str:
