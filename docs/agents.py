@@ -15,14 +15,15 @@ _LEARNED = {
     "which goes on in a model that saw its episodes": "agent_stack_cube_further",
 }
 _AFTER = {"agent_stack_cube_further": "agent_stack_cube_careful"}
-_FURTHER = """The last policy goes on from the careful one, in a model that was trained further on 300 episodes of that one in the
-simulator, with noise on what it asks of the arm:
+_FURTHER = """The last policy goes on from the careful one, in a model that was trained further on 300 episodes of that
+one in the simulator, with noise on what it asks of the arm:
 
 ```
 pwm-gym collect --task StackCube --episodes 250 --held-out 4 --practice 0 --randomise 0
-pwm-gym collect --task StackCube --episodes 150 --held-out 1 --practice 1 --offset 3000 --out data-sets/StackCube-practice
-pwm-gym collect --task StackCube --episodes 300 --held-out 1 --practice 0 --on-policy 1 --policy runs/StackCube-careful \\
-    --jitter 0.3 --out data-sets/StackCube-on
+pwm-gym collect --task StackCube --episodes 150 --held-out 1 --practice 1 --offset 3000 \\
+    --out data-sets/StackCube-practice
+pwm-gym collect --task StackCube --episodes 300 --held-out 1 --practice 0 --on-policy 1 \\
+    --policy runs/StackCube-careful --jitter 0.3 --out data-sets/StackCube-on
 pwm-gym train --data data-sets/StackCube data-sets/StackCube-practice data-sets/StackCube-on --init panda \\
     --out runs/stack --threads 1 --learning-rate 0.0015 --arm-steps 0 --error-steps 1500 \\
     --phases 1 300 256 5 400 192 15 350 128
@@ -47,7 +48,8 @@ def learned() -> str:
     if not rows:
         return ""
     about = paragraph(
-        "Policies trained by reinforcement learning inside a model alone, the shipped one but for the last, tested in the simulator in the",
+        "Policies trained by reinforcement learning inside a model alone, the shipped one but for the last, tested",
+        "in the simulator in the",
         "planners' test episodes; PPO of stable-baselines3 on entity poses ([how](train_agent.md)). The last column is",
         "the model's own training, which other tasks share, and the simulator's steps that it was trained on. Policies",
         "were trained on one thread beside other processes; PickCube's in three parts, at the beginning of each of",

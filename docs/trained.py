@@ -101,8 +101,8 @@ pwm-gym train --data data-sets/OGBenchCubeSingle --out runs/cube --threads 1 --a
     --phases 1 700 256 5 300 128 15 200 96
 ```
 
-`ogbench-cubes` went on from it with two cubes, in two trainings of 19 minutes of one processor beside others. Its rollouts
-are measured in more test episodes.
+`ogbench-cubes` went on from it with two cubes, in two trainings of 19 minutes of one processor beside others. Its
+rollouts are measured in more test episodes.
 
 ```
 pwm-gym collect --task OGBenchCubeDouble --episodes 400 --held-out 30 --practice 0.5
@@ -113,7 +113,8 @@ pwm-gym train --data data-sets/OGBenchCubeDouble --init ogbench-cube --out runs/
 pwm-gym train --data data-sets/OGBenchCubeDouble data-sets/OGBenchCubeDouble-more --init runs/cubes/checkpoint \\
     --out runs/cubes2 --threads 1 --arm-steps 1500 --error-steps 1000 --learning-rate 0.002 \\
     --phases 1 150 256 5 350 128 15 450 96
-pwm-gym collect --task OGBenchCubeDouble --episodes 1 --held-out 80 --practice 0.25 --out data-sets/OGBenchCubeDouble-test
+pwm-gym collect --task OGBenchCubeDouble --episodes 1 --held-out 80 --practice 0.25 \\
+    --out data-sets/OGBenchCubeDouble-test
 ```
 
 `adroit-door` and `adroit-relocate` are of one task each: 30 minutes of one processor beside the other.
