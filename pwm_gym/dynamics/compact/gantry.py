@@ -44,7 +44,8 @@ class LinkResponse(Servo):
 
     def forward(self, joints: Tensor, targets: Tensor) -> Tensor:
         """Steps and next velocities (B, 2, K) of joints (B, 2, K) under targets (B, K)."""
-        known = torch.cat([targets, joints[:, 0], _FAST * joints[:, 1], *_stops(joints, self.lower, self.upper)], 1)
+        state = joints.detach()  # far rollouts' gradients would grow from step to step, and drown all others
+        known = torch.cat([targets, state[:, 0], _FAST * state[:, 1], *_stops(state, self.lower, self.upper)], 1)
         always = joints.new_ones(len(joints), 1)
         return self._steps(_moves(joints, targets), known, always).unflatten(1, (2, -1))
 
@@ -140,7 +141,7 @@ class GantryResponse(JointResponse):
             targets,
             position,
             _FAST * velocity,
-            *_stops(joints, self.lower, self.upper),
+            *_stops(joints.detach(), self.lower, self.upper),
             torch.tanh(height / 0.02),
             torch.tanh(height / 0.1),
             hand[:, 2, :3],
