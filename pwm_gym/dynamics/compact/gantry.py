@@ -68,6 +68,8 @@ class LinkResponse(Servo):
 class GantryResponse(JointResponse):
     """Joint steps under targets: of the gantry, and of the links on its hand that have targets, too.
 
+    With links the remainder is told how near joints are to their limits; without, it finds out by itself.
+
     Args:
         arm: the arm; its gantry is known.
         control: its channels of joints and fingers have a target for each.
@@ -86,7 +88,8 @@ class GantryResponse(JointResponse):
         if arm.gantry is None or len(targets) != arm.joints.stop - arm.joints.start:
             raise PwmGymError(f"arm {arm.name!r} is no known gantry, or no channel has a target for each of its joints")
         own = arm.gantry.joints
-        super().__init__(GantryKinematics(arm.gantry), own, 3 * own + 1, 5 * own + 5, width)
+        known = 5 * own + 5 if arm.links else 3 * own + 5
+        super().__init__(GantryKinematics(arm.gantry), own, 3 * own + 1, known, width)
         self.register_buffer("lower", torch.tensor(arm.gantry.lower), persistent=False)
         self.register_buffer("upper", torch.tensor(arm.gantry.upper), persistent=False)
         self.arm, self.own, self._targets = arm, own, targets
@@ -141,7 +144,7 @@ class GantryResponse(JointResponse):
             targets,
             position,
             _FAST * velocity,
-            *_stops(joints.detach(), self.lower, self.upper),
+            *(_stops(joints.detach(), self.lower, self.upper) if self.links is not None else ()),
             torch.tanh(height / 0.02),
             torch.tanh(height / 0.1),
             hand[:, 2, :3],
