@@ -163,8 +163,8 @@ def tool_pose(poses: np.ndarray) -> np.ndarray:
     return compose(poses[2], np.array(_at(GRASP)))
 
 
-def _robot(name: str, arm: Forearm, links: tuple[str, ...] = ()) -> Robot:
-    """The hand on a forearm; ``links`` answer to their targets as parts of the arm (:attr:`Arm.links`)."""
+def _robot(name: str, arm: Forearm) -> Robot:
+    """The hand on a forearm."""
     own, size = len(arm.names), len(arm.names) + len(_ACTUATED)
     moved = own + 2  # the wrist's two joints move the whole hand, too
     channels = (
@@ -175,14 +175,14 @@ def _robot(name: str, arm: Forearm, links: tuple[str, ...] = ()) -> Robot:
     return Robot(
         name=name,
         links=_LINKS,
-        control=Control(channels, (Arm("arm", "forearm", gantry=arm.gantry, links=links),), _PERIOD),
+        control=Control(channels, (Arm("arm", "forearm", gantry=arm.gantry),), _PERIOD),
         joints=_JOINTS,
         tool=tool_pose,
         action_names=(*arm.names, *_ACTUATED),
     )
 
 
-DOOR_HAND = _robot("adroit_door", DOOR_ARM, tuple(_JOINTS))
+DOOR_HAND = _robot("adroit_door", DOOR_ARM)
 """Of the door's task (28 components)."""
 RELOCATE_HAND = _robot("adroit_relocate", RELOCATE_ARM)
 """Of the ball's task (30 components)."""

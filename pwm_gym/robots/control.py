@@ -124,22 +124,17 @@ class Arm:
     """Where its joints begin in the robot's joint vector."""
     gantry: Gantry | None = None
     """The same of an arm that is a gantry."""
-    links: tuple[str, ...] = ()
-    """Of a gantry's hand: driven entities whose joints have targets of their own, and follow the gantry's in the
-    robot's joint vector, in this order."""
 
     def __post_init__(self) -> None:
-        """Check that its joints are told once, and links go with a gantry."""
+        """Check that its joints are told once."""
         if self.chain is not None and self.gantry is not None:
             raise PwmGymError(f"arm {self.name!r} has a chain and a gantry; expected one of them")
-        if self.links and self.gantry is None:
-            raise PwmGymError(f"arm {self.name!r} has links ({', '.join(self.links)}) and no gantry; expected both")
 
     @property
     def joints(self) -> slice:
         """Its joints' place in the robot's joint vector."""
         known = self.chain or self.gantry
-        return slice(self.first_joint, self.first_joint + (known.joints if known else 0) + len(self.links))
+        return slice(self.first_joint, self.first_joint + (known.joints if known else 0))
 
 
 @dataclass(frozen=True)

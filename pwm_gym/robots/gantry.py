@@ -8,10 +8,9 @@ from torch import Tensor, nn
 from pwm_gym.robots.control import Gantry
 from pwm_gym.scene.se3 import make_pose, matrix_from_pose7, rotation_about, rotation_parts
 
-__all__ = ["SOFT", "GantryKinematics"]
+__all__ = ["GantryKinematics"]
 
-SOFT = 0.5
-"""Of a joint's range, by which it may be past its limits: they are springs."""
+_SOFT = 0.5  # of a joint's range, by which it may be past its limits: they are springs
 
 
 class GantryKinematics(nn.Module):
@@ -26,7 +25,7 @@ class GantryKinematics(nn.Module):
         super().__init__()
         self._slides = list(gantry.slides)
         lower, upper = torch.tensor(gantry.lower), torch.tensor(gantry.upper)
-        soft = SOFT * (upper - lower)
+        soft = _SOFT * (upper - lower)
         tables = {
             "origin": matrix_from_pose7(torch.tensor(gantry.origin, dtype=torch.float64)).float(),
             "axis_parts": rotation_parts(torch.eye(3)),  # (3, 3, 3, 3), of turns about x, y and z

@@ -43,7 +43,7 @@ def test_limits_are_springs():
 def test_a_controls_gantry_survives_json():
     assert Control.from_json(RELOCATE_HAND.control.to_json()) == RELOCATE_HAND.control
     assert RELOCATE_HAND.control.arms[0].joints == slice(0, 6)
-    assert DOOR_HAND.control.arms[0].joints == slice(0, 28)
+    assert DOOR_HAND.control.arms[0].joints == slice(0, 4)
 
 
 @pytest.mark.parametrize(
@@ -63,10 +63,3 @@ def test_an_arms_joints_are_told_once():
     chain = SerialArm((UNIT,), UNIT, (0.0, 0.0, 0.1), (-1.0,), (1.0,), (0.0,))
     with pytest.raises(PwmGymError, match="arm 'a' has a chain and a gantry; expected one of them"):
         Arm("a", "hand", chain, gantry=GANTRY)
-
-
-def test_links_go_with_a_gantry():
-    arm = Arm("a", "hand", gantry=GANTRY, links=("wrist", "palm"), first_joint=3)
-    assert arm.joints == slice(3, 3 + GANTRY.joints + 2)
-    with pytest.raises(PwmGymError, match=r"arm 'a' has links \(wrist\) and no gantry; expected both"):
-        Arm("a", "hand", links=("wrist",))

@@ -46,8 +46,8 @@ class ArmResponse(JointResponse):
         self.arm, self._move, self._turn = arm, move, control.channel(arm.name, "rotation")
         self._yaw = control.channel(arm.name, "yaw")
 
-    def observe(self, hand: Tensor, links: Tensor) -> Tensor:
-        """Joint positions and velocities (..., 2, J) behind hand poses (..., 3, 4, 4); no links hang on it."""
+    def observe(self, hand: Tensor) -> Tensor:
+        """Joint positions and velocities (..., 2, J) behind hand poses (..., 3, 4, 4)."""
         rest = self.kinematics.rest.expand(*hand.shape[:-3], -1)
         now, _ = self.kinematics.solve(hand[..., 0, :, :], rest, 20)
         before, _ = self.kinematics.solve(hand[..., 1, :, :], now, _ITERATIONS)
@@ -128,6 +128,4 @@ class ArmResponse(JointResponse):
         hand = self.kinematics(joints[:, 0])
         command = self.command(joints[:, 0], action, hand)
         moved = self._fit_linear(torch.cat([command, joints[:, 1]], 1), joints, following)
-        self._descend(
-            lambda rows: self.respond(joints[rows], command[rows], hand[rows], floor).step.flatten(1), moved, steps
-        )
+        self._descend(lambda rows: self.respond(joints[rows], command[rows], hand[rows], floor), moved, steps)

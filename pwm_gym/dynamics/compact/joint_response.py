@@ -14,7 +14,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-__all__ = ["STEP", "ArmForecast", "JointResponse", "Servo"]
+__all__ = ["STEP", "ArmForecast", "JointResponse"]
 
 STEP = 0.01
 """Radians (metres) a step: the unit of what is learned."""
@@ -34,10 +34,11 @@ class ArmForecast:
     """0 (B, 1) where the arm rests without a command, near 1 elsewhere."""
 
 
-class Servo(nn.Module):
-    """Joints that follow what drives them: a linear part and a learned remainder.
+class JointResponse(nn.Module):
+    """Joint steps under actions.
 
     Args:
+        kinematics: hand poses (..., 4, 4) of joint positions (..., J), and ``limit``.
         joints: J.
         moves: numbers that the linear part follows from.
         known: numbers that the remainder follows from.
@@ -47,8 +48,10 @@ class Servo(nn.Module):
     weight: Tensor
     braking: Tensor
 
-    def __init__(self, joints: int, moves: int, known: int, width: int) -> None:
+    def __init__(self, kinematics: nn.Module, joints: int, moves: int, known: int, width: int) -> None:
         super().__init__()
+        self.kinematics: Any = kinematics
+        self.joints, self.features = joints, known + 2 * joints
         self.register_buffer("weight", torch.zeros(moves, 2 * joints))
         self.register_buffer("braking", torch.ones(()))  # velocity at a step's end over its average in the step
         self.net = nn.Sequential(
@@ -63,65 +66,9 @@ class Servo(nn.Module):
         nn.init.zeros_(self.net[-1].weight)  # type: ignore[arg-type]
         nn.init.zeros_(self.net[-1].bias)  # type: ignore[arg-type]
 
-    def _steps(self, moves: Tensor, known: Tensor, motion_gate: Tensor) -> Tensor:
-        """Steps and next velocities (B, 2 J)."""
-        return moves @ self.weight + STEP * motion_gate * self.net(known)
-
-    def _fit_linear(self, moves: Tensor, joints: Tensor, following: Tensor) -> Tensor:
-        """Fit the linear part; returns the steps (B, 2, J) that the joints made."""
-        moved = torch.stack([following[:, 0] - joints[:, 0], following[:, 1]], 1)
-        self.braking.copy_((moved[:, 0] * moved[:, 1]).sum() / moved[:, 0].square().sum())
-        target = moved.flatten(1).double()
-        self.weight.copy_(torch.linalg.lstsq(moves.double(), target, driver="gelsd").solution.float())
-        return moved
-
-    def _descend(self, steps_of: Callable[[Tensor], Tensor], moved: Tensor, steps: int) -> None:
-        """Fit the remainder, so that ``steps_of`` rows (K,) of transitions gives what ``moved`` (B, 2, J) there."""
-        optimizer = torch.optim.AdamW(self.net.parameters(), _FIT_RATE)
-        schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, max(1, steps))
-        generator = torch.Generator().manual_seed(0)
-        for _ in range(steps):
-            index = torch.randint(len(moved), (_FIT_BATCH,), generator=generator)
-            error = steps_of(index) - moved[index].flatten(1)
-            loss = F.huber_loss(error / _FIT_SCALE, torch.zeros_like(error), delta=0.5)
-            optimizer.zero_grad(set_to_none=True)
-            loss.backward()
-            optimizer.step()
-            schedule.step()
-
-
-class JointResponse(Servo):
-    """Joint steps of an arm under actions.
-
-    Args:
-        kinematics: hand poses (..., 4, 4) of joint positions (..., J), and ``limit``.
-        joints: J, which bring the hand about.
-        moves: as of :class:`Servo`.
-        known: as of :class:`Servo`.
-        width: as of :class:`Servo`.
-    """
-
-    def __init__(self, kinematics: nn.Module, joints: int, moves: int, known: int, width: int) -> None:
-        super().__init__(joints, moves, known, width)
-        self.kinematics: Any = kinematics
-        self.joints, self.features = joints, known + 2 * joints
-        """How many joints there are in all, with those of links that hang on the hand, and features of a forecast."""
-
-    def observe(self, hand: Tensor, links: Tensor) -> Tensor:
-        """Joint positions and velocities (..., 2, J) behind hand poses (..., 3, 4, 4) and links at (..., 3, K)."""
+    def observe(self, hand: Tensor) -> Tensor:
+        """Joint positions and velocities (..., 2, J) behind hand poses (..., 3, 4, 4)."""
         raise NotImplementedError
-
-    def hand(self, joints: Tensor) -> Tensor:
-        """The hand's pose (..., 4, 4) at joint positions (..., J)."""
-        return self.kinematics(joints)
-
-    def limit(self, joints: Tensor) -> Tensor:
-        """Joint positions (..., J) within their limits."""
-        return self.kinematics.limit(joints)
-
-    def slow(self, steps: Tensor) -> Tensor:
-        """Steps and next velocities (..., J) that joints can make."""
-        return steps
 
     def forward(self, joints: Tensor, action: Tensor, hand: Tensor, floor: float) -> ArmForecast:
         """The next step of joints (B, 2, J) under actions (B, A).
@@ -151,5 +98,27 @@ class JointResponse(Servo):
         raise NotImplementedError
 
     def _forecast(self, moves: Tensor, known: Tensor, motion_gate: Tensor) -> ArmForecast:
-        step = self._steps(moves, known, motion_gate)
+        step = moves @ self.weight + STEP * motion_gate * self.net(known)
         return ArmForecast(step.unflatten(1, (2, -1)), torch.cat([known, step / STEP], 1), motion_gate)
+
+    def _fit_linear(self, moves: Tensor, joints: Tensor, following: Tensor) -> Tensor:
+        """Fit the linear part; returns the steps (B, 2, J) that the joints made."""
+        moved = torch.stack([following[:, 0] - joints[:, 0], following[:, 1]], 1)
+        self.braking.copy_((moved[:, 0] * moved[:, 1]).sum() / moved[:, 0].square().sum())
+        target = moved.flatten(1).double()
+        self.weight.copy_(torch.linalg.lstsq(moves.double(), target, driver="gelsd").solution.float())
+        return moved
+
+    def _descend(self, forecast: Callable[[Tensor], ArmForecast], moved: Tensor, steps: int) -> None:
+        """Fit the remainder, so that ``forecast`` of rows (K,) of transitions gives what ``moved`` (B, 2, J) there."""
+        optimizer = torch.optim.AdamW(self.net.parameters(), _FIT_RATE)
+        schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, max(1, steps))
+        generator = torch.Generator().manual_seed(0)
+        for _ in range(steps):
+            index = torch.randint(len(moved), (_FIT_BATCH,), generator=generator)
+            error = forecast(index).step - moved[index]
+            loss = F.huber_loss(error / _FIT_SCALE, torch.zeros_like(error), delta=0.5)
+            optimizer.zero_grad(set_to_none=True)
+            loss.backward()
+            optimizer.step()
+            schedule.step()

@@ -73,8 +73,6 @@ class CompactConfig:
     near, but not touching. Equal ones hide nothing."""
     hidden_from_all: bool = True
     """Whether such an object is hidden from all other tokens, so that none of them tells the robot's of it."""
-    tables: bool = True
-    """Whether the robot's links are told how high they are over tables, too, rather than over the floor alone."""
     uncertain: bool = True
     """Whether it tells how far off it may be (``RigidState.error``)."""
 
@@ -180,8 +178,7 @@ class CompactModel(nn.Module):
 
         # Tokens: entities with their contacts, the action, registers.
         tokens = self._features(plan, poses, moves, forecast, frames[:, 0])
-        below = plan.surface(links[:, 0, :, :3, 3]) if self.config.tables else plan.floor
-        told = self.shapes(shapes, links[:, 0], forecast.links, seen[:, 0], below)
+        told = self.shapes(shapes, links[:, 0], forecast.links, seen[:, 0], plan.floor)
         rows = [self.robot.tokens(forecast, tokens[:, : plan.links] + told)]
         contacts = None
         if plan.places:

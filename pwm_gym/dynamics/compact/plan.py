@@ -10,7 +10,7 @@ from torch import Tensor, nn
 
 from pwm_gym.errors import SceneError
 from pwm_gym.robots.joints import JointTree
-from pwm_gym.scene import Layout, Support
+from pwm_gym.scene import Layout
 from pwm_gym.scene.joint import JOINT_KINDS, Joint
 from pwm_gym.scene.se3 import inverse, matrix_from_pose7
 
@@ -67,8 +67,6 @@ class Plan:
     """Places of partners whose next poses are known before the loose entities'."""
     carried: bool
     """Whether there are any."""
-    tables: Tensor
-    """Middles and half sides (T, 2, 3) of those whose axes are the world's."""
     wall_rows: Tensor
     """Rows (3, S, 4) that take points of the world to the walls' axes."""
     up: Tensor
@@ -132,7 +130,6 @@ class Plan:
             loose_places=_places(loose, device),
             carriers=_places(carriers, device),
             carried=bool(carriers),
-            tables=_tables(poses, walls).to(device),
             wall_rows=inverses[:, :3].transpose(0, 1),
             up=torch.tensor(_UP, device=device),
             apart=from_boxes.unsqueeze(-1) if movers else torch.empty(0),
@@ -150,17 +147,6 @@ class Plan:
         """Rows that are told of a mover's point at one time: in boxes' axes, its height, in the frame of reference."""
         return 3 * self.touchable, 1, 3
 
-    def surface(self, places: Tensor) -> Tensor:
-        """Height (B, L) of what lies below places (B, L, 3): of the floor, or of the top of a level box over it."""
-        floor = places.new_full(places.shape[:-1], self.floor)
-        if not len(self.tables):
-            return floor
-        middle, half = self.tables.unbind(1)  # (T, 3)
-        off = places.unsqueeze(-2) - middle  # (B, L, T, 3)
-        over = (off[..., :2].abs() < half[:, :2]).all(-1) & (off[..., 2] > 0.0)
-        tops = (middle[:, 2] + half[:, 2]).where(over, self.floor)
-        return torch.maximum(floor, tops.amax(-1))
-
     def with_walls(self, partners: Tensor, walls: Tensor, dim: int) -> Tensor:
         """What is known of partners (B, ...) with the same of walls, equal in all scenes, behind it along ``dim``."""
         if not len(walls):
@@ -174,13 +160,6 @@ def _places(places: Sequence[int], device: torch.device) -> Places:
     if list(places) == list(range(start, start + len(places))):
         return slice(start, start + len(places))
     return torch.tensor(places, device=device)
-
-
-def _tables(poses: Tensor, walls: Sequence[Support]) -> Tensor:
-    """Middles and half sides (T, 2, 3) of boxes whose axes are the world's, of poses (S, 4, 4)."""
-    level = [k for k, pose in enumerate(poses) if torch.allclose(pose[:3, :3], torch.eye(3), atol=1e-6)]
-    half = torch.tensor([walls[k].half for k in level], dtype=torch.float32).reshape(-1, 3)
-    return torch.stack([poses[level, :3, 3], half], 1)
 
 
 def _check_robot(layout: Layout, links: Layout) -> None:

@@ -74,32 +74,23 @@ class RobotMotion(nn.Module):
                 raise SceneError(
                     f"arm {arm.name!r} has hand {arm.hand!r}; the robot's are {', '.join(names) or 'none'}"
                 )
-        tree = self.response.tree
-        moving = [links.names[k] for k in tree.moving]
-        self.followers = [[moving.index(link) for link in arms[n].links] if n in arms else [] for n in names]
-        limits = torch.stack([tree.lower, tree.upper])
-        self.arms = nn.ModuleList(
-            _response(arms[n], control, arm_width, limits[:, places]) if n in arms else nn.Identity()
-            for n, places in zip(names, self.followers, strict=True)
-        )
+        self.arms = nn.ModuleList(_response(arms[n], control, arm_width) if n in arms else nn.Identity() for n in names)
         self.known = [n in arms for n in names]
         sizes = [a.joints if isinstance(a, JointResponse) else 0 for a in self.arms]
         self.slices = [slice(sum(sizes[:k]), sum(sizes[: k + 1])) for k in range(len(names))]
         self.robot_slices = [arms[n].joints for n in names if n in arms]
-        own = [n - len(places) for n, places in zip(sizes, self.followers, strict=True)]  # that bring the hand about
         self.joints = sum(sizes)
         self.arm_tokens = nn.ModuleList(
             nn.Linear(a.features, width) if isinstance(a, JointResponse) else nn.Identity() for a in self.arms
         )
-        self.heads = nn.ModuleList(nn.Linear(width, 2 * n if n else 6) for n in own)
+        self.heads = nn.ModuleList(nn.Linear(width, 2 * n if n else 6) for n in sizes)
         self.slide = nn.Linear(width, 1)
-        self.follow = nn.Linear(width, 2) if any(self.followers) else None
         self.coupling = None
         if len(names) > 1:
             self.coupling = nn.Linear(width, 3)  # shares of the hands' mean way, along the frame's axes
             nn.init.zeros_(self.coupling.weight)
             nn.init.constant_(self.coupling.bias, _APART)
-        for head in (*self.heads, self.slide, *([self.follow] if self.follow else ())):
+        for head in (*self.heads, self.slide):
             nn.init.zeros_(head.weight)
             nn.init.zeros_(head.bias)
         commands = [c.slice for c in control.of_kind("translation", "rotation", "yaw", "joint")]
@@ -121,10 +112,8 @@ class RobotMotion(nn.Module):
             return None
         if joints is not None:
             return self.select(joints)
-        positions, found = self.response.tree.positions(links), []
-        for hand, arm, places in zip(self.hands, self.arms, self.followers, strict=True):
-            if isinstance(arm, JointResponse):
-                found.append(arm.observe(links[..., hand, :, :], positions[..., places]))
+        arms = zip(self.hands, self.arms, strict=True)
+        found = [arm.observe(links[..., hand, :, :]) for hand, arm in arms if isinstance(arm, JointResponse)]
         return torch.cat(found, -1)
 
     def select(self, joints: Tensor) -> Tensor:
@@ -156,28 +145,18 @@ class RobotMotion(nn.Module):
         arms: list[ArmForecast | None] = []
         moved = now if all(self.known) else _moved(now, self.response.hand_twists(links, action))
         hands = list(moved.unbind(1))
-        positions = tree.positions(links)
-        step = self.response.joint_step(positions, action)
-        reached = tree.limit(positions[:, 0] + step)
         for k, arm in enumerate(self.arms):
             arms.append(None)
             if isinstance(arm, JointResponse):
                 assert joints is not None, "prepare() the state first"
                 own = joints[..., self.slices[k]]
                 arms[k] = forecast = arm(own, action, now[:, k], floor)
-                angles = own[:, 0] + arm.slow(forecast.step[:, 0])
-                hands[k] = arm.hand(angles)
-                reached = self._with_followers(k, reached, arm.limit(angles))
+                hands[k] = arm.kinematics(own[:, 0] + forecast.step[:, 0])
         after = torch.stack(hands, 1) if hands else now
-        placed = self._placed(links[:, 0], after, reached)
+        positions = tree.positions(links)
+        step = self.response.joint_step(positions, action)
+        placed = self._placed(links[:, 0], after, tree.limit(positions[:, 0] + step))
         return RobotForecast(positions, step, after, twist(now, after), placed, tuple(arms))
-
-    def _with_followers(self, k: int, positions: Tensor, angles: Tensor) -> Tensor:
-        """Driven joints' positions (B, S), those that follow arm ``k`` at its joints' positions (B, J)."""
-        places = self.followers[k]
-        if not places:
-            return positions
-        return positions.index_copy(1, torch.tensor(places, device=positions.device), angles[:, -len(places) :])
 
     def _placed(self, links: Tensor, hands: Tensor, positions: Tensor) -> Tensor:
         """Links' poses (B, L, 4, 4) with hands at (B, H, 4, 4) and driven joints at (B, S)."""
@@ -218,41 +197,24 @@ class RobotMotion(nn.Module):
             frame: rotation (B, 3, 3) of the frame of reference.
         """
         hands, found = [], []
-        tree, positions = self.response.tree, forecast.positions[:, 0] + forecast.joint_step
-        if len(tree):
-            positions = positions + self.slide(tokens[:, tree.moving]).squeeze(-1) * self.step_units
-        positions = tree.limit(positions)
         for k, (hand, arm) in enumerate(zip(self.hands, self.arms, strict=True)):
             learned, known = self.heads[k](tokens[:, hand]), forecast.arms[k]
             if isinstance(arm, JointResponse) and known is not None:
                 assert joints is not None
-                learned = self._with_links(k, learned.unflatten(1, (2, -1)), tokens)
-                correction = STEP * known.motion_gate.unsqueeze(1) * learned
-                step, velocity = arm.slow(known.step + correction).unbind(1)
-                angles = arm.limit(joints[:, 0, self.slices[k]] + step)
+                correction = STEP * known.motion_gate.unsqueeze(1) * learned.unflatten(1, (2, -1))
+                step, velocity = (known.step + correction).unbind(1)
+                angles = arm.kinematics.limit(joints[:, 0, self.slices[k]] + step)
                 found.append(torch.stack([angles, velocity], 1))
-                hands.append(arm.hand(angles))
-                positions = self._with_followers(k, positions, angles)
+                hands.append(arm.kinematics(angles))
             else:
                 hands.append(self._free_hand(k, links[:, :, hand], action, forecast.twists[:, k], learned, frame))
         if self.coupling is not None:
             hands, found = self._coupled(links[:, 0, self.hands], hands, found, tokens, frame)
-        placed = self._placed(links[:, 0], torch.stack(hands, 1) if hands else forecast.hands, positions)
+        tree, positions = self.response.tree, forecast.positions[:, 0] + forecast.joint_step
+        if len(tree):
+            positions = positions + self.slide(tokens[:, tree.moving]).squeeze(-1) * self.step_units
+        placed = self._placed(links[:, 0], torch.stack(hands, 1) if hands else forecast.hands, tree.limit(positions))
         return placed, torch.cat(found, -1) if found else None
-
-    def _with_links(self, k: int, learned: Tensor, tokens: Tensor) -> Tensor:
-        """What is learned (B, 2, J) of arm ``k``'s joints: beside that of its hand (B, 2, J'), that of its links.
-
-        Args:
-            k: place of the arm.
-            learned: of its own joints.
-            tokens: all links' (B, L, C).
-        """
-        if not self.followers[k]:
-            return learned
-        assert self.follow is not None
-        moving = [self.response.tree.moving[place] for place in self.followers[k]]
-        return torch.cat([learned, self.follow(tokens[:, moving]).transpose(1, 2)], 2)
 
     def _coupled(
         self, now: Tensor, hands: list[Tensor], joints: list[Tensor], tokens: Tensor, frame: Tensor
@@ -277,9 +239,9 @@ class RobotMotion(nn.Module):
         for k, arm in enumerate(self.arms):
             if isinstance(arm, JointResponse):
                 angles, velocity = next(rest).unbind(1)
-                reached = arm.limit(arm.reach(shifted[k], angles))
+                reached = arm.kinematics.limit(arm.reach(shifted[k], angles))
                 following.append(torch.stack([reached, velocity + reached - angles], 1))
-                shifted[k] = arm.hand(reached)
+                shifted[k] = arm.kinematics(reached)
         return shifted, following
 
     def _free_hand(
@@ -303,11 +265,10 @@ def _is_known(arm: Arm, control: Control) -> bool:
     return steered or arm.gantry is not None
 
 
-def _response(arm: Arm, control: Control, width: int, limits: Tensor) -> JointResponse:
-    """The response of a known arm, whose links have limits (2, K)."""
-    if arm.gantry is None:
-        return ArmResponse(arm, control, width)
-    return GantryResponse(arm, control, width, limits)
+def _response(arm: Arm, control: Control, width: int) -> JointResponse:
+    """The response of a known arm."""
+    kind = ArmResponse if arm.gantry is None else GantryResponse
+    return kind(arm, control, width)
 
 
 def _moved(pose: Tensor, move: Tensor) -> Tensor:

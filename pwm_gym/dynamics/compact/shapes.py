@@ -67,7 +67,7 @@ def _homogeneous(points: Tensor) -> Tensor:
 
 
 class LinkShapes(nn.Module):
-    """What the links' tokens are told of their shapes, and of how far they would enter what lies below.
+    """What the links' tokens are told of their shapes, and of how far they would enter the floor.
 
     Args:
         width: channels of the per-point network.
@@ -83,7 +83,7 @@ class LinkShapes(nn.Module):
         self.register_buffer("corners", corners, persistent=False)  # (3, 8)
         self.net = Pooled(7, width, size)
 
-    def forward(self, shapes: Shapes, links: Tensor, links_next: Tensor, seen: Tensor, below: Tensor | float) -> Tensor:
+    def forward(self, shapes: Shapes, links: Tensor, links_next: Tensor, seen: Tensor, floor: float) -> Tensor:
         """(B, L, C).
 
         Args:
@@ -91,13 +91,13 @@ class LinkShapes(nn.Module):
             links: poses (B, L, 4, 4).
             links_next: the same one step later, as foreseen.
             seen: inverse pose (B, 3, 4) of the frame of reference.
-            below: height (B, L) of what lies below each, or of what lies below all, metres.
+            floor: its height, metres.
         """
         count = links.shape[1]
         corners = torch.where(self.corners, shapes.high[:, :count, :, None], shapes.low[:, :count, :, None])
         maps = torch.cat([seen.unsqueeze(1) @ links, links[:, :, 2:3], links_next[:, :, 2:3]], 2)  # (B, L, 5, 4)
         place, heights = (maps[..., :3] @ corners + maps[..., 3:]).split([3, 2], 2)
-        heights = heights - (below[:, :, None, None] if isinstance(below, Tensor) else below)
+        heights = heights - floor
         return self.net(
             [
                 place / LENGTH,
