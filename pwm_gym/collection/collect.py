@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 
 from tqdm import tqdm
@@ -55,7 +55,7 @@ def collect(
     task = get_task(config.task)
     if bool(config.policy) != (agent is not None):
         raise DatasetError(f"policy={config.policy!r} and agent={agent}; expected both or neither")
-    every = [replace(shard, agent=agent) for shard in _shards(config)]
+    every = list(_shards(config, agent))
     worlds = _worlds(config, task, every) if config.warp else None
     _write_header(config, task)
     missing = [shard for shard in every if not shard.is_whole(task)]
@@ -111,7 +111,7 @@ def _write_header(config: CollectConfig, task: Task) -> None:
     write_atomically(path, json.dumps(header).encode())
 
 
-def _shards(config: CollectConfig) -> Iterator[Shard]:
+def _shards(config: CollectConfig, agent: Callable[[Task], Agent] | None) -> Iterator[Shard]:
     """Shards of all splits; each kind takes seeds of its own third of a split."""
     held_out = max(config.held_out, config.episodes // 10)
     counts = {"train": config.episodes, "validation": held_out, "test": held_out}
@@ -125,7 +125,7 @@ def _shards(config: CollectConfig) -> Iterator[Shard]:
             seeds = RANGES[split][place * third + config.offset :][:number]
             for k in range(0, number, config.shard):
                 path = config.folder / f"{split}-{kind}-{k // config.shard:05d}.npz"
-                yield Shard(path, seeds[k : k + config.shard], kind, config)
+                yield Shard(path, seeds[k : k + config.shard], kind, config, agent)
 
 
 def _one_thread() -> None:
