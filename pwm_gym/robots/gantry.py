@@ -10,7 +10,8 @@ from pwm_gym.scene.se3 import make_pose, matrix_from_pose7, rotation_about, rota
 
 __all__ = ["GantryKinematics"]
 
-_SOFT = 0.5  # of a joint's range, by which it may be past its limits: they are springs
+# Past their limits joints may be, which are springs: slides by metres, turns by a share of their range.
+_STIFF, _SOFT = 0.03, 0.5
 
 
 class GantryKinematics(nn.Module):
@@ -26,6 +27,7 @@ class GantryKinematics(nn.Module):
         self._slides = list(gantry.slides)
         lower, upper = torch.tensor(gantry.lower), torch.tensor(gantry.upper)
         soft = _SOFT * (upper - lower)
+        soft[: len(gantry.slides)] = _STIFF
         tables = {
             "origin": matrix_from_pose7(torch.tensor(gantry.origin, dtype=torch.float64)).float(),
             "axis_parts": rotation_parts(torch.eye(3)),  # (3, 3, 3, 3), of turns about x, y and z

@@ -66,6 +66,13 @@ def test_joints_are_observed_behind_a_hand(response):
     torch.testing.assert_close(seen[:, 1], response.braking * (following[:, 0] - joints[:, 0]), atol=2e-5, rtol=0)
 
 
+def test_joints_at_their_limits_come_to_rest(response):
+    asked = torch.tensor([[9.0] * 3 + [0.0] * (COUNT - 3)])
+    reached = response.kinematics.limit(asked)
+    velocity = response.stop(torch.full((1, COUNT), 0.02), asked, reached)
+    torch.testing.assert_close(velocity, torch.tensor([[0.0] * 3 + [0.02] * (COUNT - 3)]))
+
+
 @pytest.mark.parametrize("channels", [(), (Channel("joint", 0, COUNT - 1, rest=None, arm="arm"),)])
 def test_a_channel_has_a_target_for_each_joint(channels):
     with pytest.raises(PwmGymError, match="no channel has a target for each of its joints"):

@@ -40,6 +40,12 @@ def test_limits_are_springs():
     torch.testing.assert_close(limited, torch.tensor([[1.5, -1.0, 0.75]]))
 
 
+def test_slides_stop_within_centimetres_of_their_limits():
+    kinematics = GantryKinematics(Gantry(UNIT, (2,), (-0.3, -1.0, 0.0, 0.0), (0.5, 1.0, 2.0, 0.5)))
+    limited = kinematics.limit(torch.tensor([[0.9, 1.5, -5.0, 9.0], [-0.9, 0.0, 0.0, 0.0]]))
+    torch.testing.assert_close(limited, torch.tensor([[0.53, 1.5, -1.0, 0.75], [-0.33, 0.0, 0.0, 0.0]]))
+
+
 def test_a_controls_gantry_survives_json():
     assert Control.from_json(RELOCATE_HAND.control.to_json()) == RELOCATE_HAND.control
     assert RELOCATE_HAND.control.arms[0].joints == slice(0, 6)

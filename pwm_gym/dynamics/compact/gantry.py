@@ -41,6 +41,10 @@ class GantryResponse(JointResponse):
         now, before = (self.kinematics.solve(hand[..., k, :, :]) for k in (0, 1))
         return torch.stack([now, self.braking * (now - before)], -2)
 
+    def stop(self, velocity: Tensor, asked: Tensor, reached: Tensor) -> Tensor:
+        """Velocities (B, J): none of joints that run into their limits."""
+        return velocity.where(asked == reached, 0.0)
+
     def reach(self, hand: Tensor, joints: Tensor) -> Tensor:
         """Joint positions (B, J) at which the hand is at ``hand`` (B, 4, 4)."""
         return self.kinematics.solve(hand)

@@ -81,6 +81,10 @@ class JointResponse(nn.Module):
         """
         raise NotImplementedError
 
+    def stop(self, velocity: Tensor, asked: Tensor, reached: Tensor) -> Tensor:
+        """Velocities (B, J) of joints that are at ``reached`` (B, J) where ``asked`` (B, J) is past their limits."""
+        return velocity
+
     def reach(self, hand: Tensor, joints: Tensor) -> Tensor:
         """Joint positions (B, J) at which the hand is at ``hand`` (B, 4, 4), not far from where ``joints`` bring it."""
         raise NotImplementedError

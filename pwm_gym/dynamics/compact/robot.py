@@ -203,8 +203,9 @@ class RobotMotion(nn.Module):
                 assert joints is not None
                 correction = STEP * known.motion_gate.unsqueeze(1) * learned.unflatten(1, (2, -1))
                 step, velocity = (known.step + correction).unbind(1)
-                angles = arm.kinematics.limit(joints[:, 0, self.slices[k]] + step)
-                found.append(torch.stack([angles, velocity], 1))
+                asked = joints[:, 0, self.slices[k]] + step
+                angles = arm.kinematics.limit(asked)
+                found.append(torch.stack([angles, arm.stop(velocity, asked, angles)], 1))
                 hands.append(arm.kinematics(angles))
             else:
                 hands.append(self._free_hand(k, links[:, :, hand], action, forecast.twists[:, k], learned, frame))
