@@ -49,8 +49,8 @@ def learned() -> str:
         return ""
     about = paragraph(
         "Policies trained by reinforcement learning inside a model alone, the shipped one but for the last, tested",
-        "in the simulator in the",
-        "planners' test episodes; PPO of stable-baselines3 on entity poses ([how](train_agent.md)). The last column is",
+        "in the simulator in the planners' test episodes; PPO of stable-baselines3 on entity poses",
+        "([how](train_agent.md)). The last column is",
         "the model's own training, which other tasks share, and the simulator's steps that it was trained on. Policies",
         "were trained on one thread beside other processes; PickCube's in three parts, at the beginning of each of",
         "which the learning rate rose again.",

@@ -33,8 +33,8 @@ def published() -> str:
     differs = paragraph(
         "What differs: planners here get complete clouds, or what the shipped network completes of one depth image,",
         "joint angles and the place that the cube shall go to, where those get a picture of the present and one of the",
-        "goal, which shows where the arm is to be, too. Episodes are",
-        "played anew from their seeds by the recipe of its script that collects such data (OGBench's",
+        "goal, which shows where the arm is to be, too. Episodes are played anew from their seeds by the recipe of its",
+        "script that collects such data (OGBench's",
         f"`CubeMarkovOracle`, noise, 200 steps), not read from that file{fewer}. MPPI plans anew at",
         "every step here, there CEM does every 25 steps. The world model was trained on demonstrations and practice",
         f"from other starts. What they report, percent: {others}.",

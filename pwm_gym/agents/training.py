@@ -55,6 +55,7 @@ def train(task: str, out: Path, config: AgentConfig | None = None, progress: boo
 
     Raises:
         PwmGymError: the folder holds a run of other settings, or settings that do not fit the task.
+        CheckpointError: the state to go on from is damaged, or ``config.init`` is no run of such a policy.
         DatasetError: as of :func:`pwm_gym.data.dataset.load_demonstrations`, where starts are drawn from some.
     """
     config, known = config or AgentConfig(), get_task(task)

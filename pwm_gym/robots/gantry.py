@@ -10,7 +10,7 @@ from pwm_gym.scene.se3 import make_pose, matrix_from_pose7, rotation_about, rota
 
 __all__ = ["GantryKinematics"]
 
-# Past their limits joints may be, which are springs: slides by metres, turns by a share of their range.
+# How far joints may be past their limits, which are springs: slides in metres, turns as a share of their range.
 _STIFF, _SOFT = 0.03, 0.5
 
 

@@ -42,7 +42,7 @@ class GantryResponse(JointResponse):
         return torch.stack([now, self.braking * (now - before)], -2)
 
     def stop(self, velocity: Tensor, asked: Tensor, reached: Tensor) -> Tensor:
-        """Velocities (B, J): none of joints that run into their limits."""
+        """Velocities (B, J), a step: none of joints that run into their limits."""
         return velocity.where(asked == reached, 0.0)
 
     def reach(self, hand: Tensor, joints: Tensor) -> Tensor:
