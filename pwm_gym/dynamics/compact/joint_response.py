@@ -82,7 +82,7 @@ class JointResponse(nn.Module):
         raise NotImplementedError
 
     def stop(self, velocity: Tensor, asked: Tensor, reached: Tensor) -> Tensor:
-        """Velocities (B, J), a step, of joints that are at ``reached`` (B, J), and without limits at ``asked`` (B, J)."""
+        """Velocities (B, J), a step, of joints at ``reached`` (B, J); without limits they were at ``asked`` (B, J)."""
         return velocity
 
     def reach(self, hand: Tensor, joints: Tensor) -> Tensor:
