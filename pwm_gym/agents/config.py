@@ -44,6 +44,8 @@ class AgentConfig:
     and width. So an agent goes on in another world, or in a model that was trained further."""
     steps: int = 5_000_000
     """Environment steps in all."""
+    minutes: float = 0.0
+    """Training ends after so many minutes, too, however many steps that was; 0 sets no limit."""
     num_envs: int = 0
     """Environments at once; 0 takes what suits the algorithm and the world."""
     observation: str = "poses"
@@ -98,6 +100,8 @@ class AgentConfig:
         }
         for name, bound in {**least, "snapshot_every": 0}.items():
             check_whole(name, getattr(self, name), bound)
+        if not 0.0 <= self.minutes < math.inf:
+            raise PwmGymError(f"minutes={self.minutes}; expected a finite number of at least 0")
         if not 0.0 <= self.underway <= 1.0:
             raise PwmGymError(f"underway={self.underway}; expected a share, 0 to 1")
         if self.demonstrations and not (self.scenes and self.world == "model"):

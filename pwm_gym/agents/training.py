@@ -67,7 +67,7 @@ def train(task: str, out: Path, config: AgentConfig | None = None, progress: boo
         learner = _learner(known, config, world, out)
         learner.set_logger(configure(str(out / "tensorboard"), ["tensorboard"]))
         saver = _Saver(learner, known, config, out, spent, progress)
-        if (left := config.steps - learner.num_timesteps) > 0:
+        if (left := config.steps - learner.num_timesteps) > 0 and not saver.late:
             learner.learn(left, callback=saver, reset_num_timesteps=False)
         saver.save()
     return saver.told()
@@ -81,7 +81,7 @@ def _claim(out: Path, task: Task, config: AgentConfig) -> float:
         return 0.0
     found = read_json(path, _Progress, PwmGymError)
     was = found.run
-    if other := sorted(key for key in {*was, *told} - {"threads"} if was.get(key) != told.get(key)):
+    if other := sorted(key for key in {*was, *told} - {"threads", "minutes"} if was.get(key) != told.get(key)):
         before, now = ({key: each.get(key) for key in other} for each in (was, told))
         raise PwmGymError(f"{out} holds a run of {before}; expected {now}, or another folder")
     return found.seconds
@@ -156,7 +156,12 @@ class _Saver(BaseCallback):
 
     def _on_step(self) -> bool:
         self._bar.update(min(self.num_timesteps, self.config.steps) - self._bar.n)
-        return True
+        return not self.late
+
+    @property
+    def late(self) -> bool:
+        """Whether the training took the minutes that it may take."""
+        return 0.0 < 60.0 * self.config.minutes <= self._seconds()
 
     def _on_rollout_start(self) -> None:
         """An update is over."""
@@ -182,8 +187,10 @@ class _Saver(BaseCallback):
 
     def told(self) -> dict[str, Any]:
         """What the training took so far."""
-        seconds = self._spent + time.perf_counter() - self._begun
-        return {"seconds": seconds, "steps": self.model.num_timesteps, **self._model_took}
+        return {"seconds": self._seconds(), "steps": self.model.num_timesteps, **self._model_took}
+
+    def _seconds(self) -> float:
+        return self._spent + time.perf_counter() - self._begun
 
 
 def _model_took(task: Task, config: AgentConfig) -> dict[str, Any]:

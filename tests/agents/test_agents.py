@@ -137,6 +137,16 @@ def test_a_run_goes_on_where_it_was(trained, tmp_path):
         train("PickCube", folder, replace(SMALL, algorithm="ppo", steps=700), progress=False)
 
 
+def test_minutes_end_a_run_and_more_of_them_let_it_go_on(tmp_path):
+    config = replace(SMALL, steps=1_000_000, minutes=0.02)
+    took = train("PickCube", tmp_path, config, progress=False)
+    assert 0 < took["steps"] < config.steps and took["seconds"] >= 1.2
+    assert load_agent(tmp_path)
+    assert train("PickCube", tmp_path, config, progress=False)["steps"] == took["steps"]
+    longer = train("PickCube", tmp_path, replace(config, minutes=0.1), progress=False)
+    assert took["steps"] < longer["steps"] < config.steps and longer["seconds"] >= 6.0
+
+
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_a_run_starts_from_another_ones_policy(trained, tmp_path, algorithm):
     """One step later it still acts much as that did; its own steps are counted from 0."""
@@ -220,6 +230,8 @@ def test_twins_are_learned_in_with_training_seeds_alone(monkeypatch, tmp_path):
         ({"num_envs": -1}, PwmGymError, "num_envs=-1; expected a whole number of at least 0"),
         ({"discount": 1.0}, PwmGymError, "discount=1.0; expected a number between 0 and 1"),
         ({"exploration": float("nan")}, PwmGymError, "exploration=nan; expected a number between 0 and 10"),
+        ({"minutes": -1.0}, PwmGymError, r"minutes=-1\.0; expected a finite number of at least 0"),
+        ({"minutes": float("nan")}, PwmGymError, "minutes=nan; expected a finite number"),
         ({"caution": -1.0}, PwmGymError, r"caution=-1\.0; expected a finite number of at least 0"),
         ({"caution": 1.0, "world": "sim"}, PwmGymError, r"caution=1\.0 in the sim; expected the model"),
         ({"underway": 1.5}, PwmGymError, r"underway=1\.5; expected a share, 0 to 1"),
