@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import torch
@@ -22,7 +22,7 @@ from pwm_gym.scene.se3 import pose7_from_matrix
 from pwm_gym.schema import read_json
 from pwm_gym.tasks import Task
 
-__all__ = ["Begins", "contestant", "contestant_agent"]
+__all__ = ["Begins", "contestant", "contestant_agent", "training_of"]
 
 
 @runtime_checkable
@@ -63,6 +63,16 @@ def contestant(spec: str, task: Task) -> ActsOnPoses:
 def contestant_agent(spec: str, task: Task) -> Agent:
     """The same policy as something that acts on scenes, whose episodes are told apart by their seeds."""
     return _Contestant(contestant(spec, task), task.name)
+
+
+def training_of(spec: str) -> dict[str, Any] | None:
+    """Seconds and environment steps that an agent's training took; None of what is no agent's folder."""
+    if not Path(spec).is_dir():
+        return None
+    described = read_json(Path(spec) / "config.json", dict, CheckpointError)
+    if described.get("format") != FORMAT:
+        return None
+    return {key: described["training"][key] for key in ("seconds", "steps")}
 
 
 class _Contestant(PolicyAgent):

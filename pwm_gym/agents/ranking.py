@@ -11,7 +11,7 @@ import gymnasium as gym
 import numpy as np
 import torch
 
-from pwm_gym.agents.contestants import Begins, contestant
+from pwm_gym.agents.contestants import Begins, contestant, training_of
 from pwm_gym.dynamics import resolve
 from pwm_gym.envs import ModelVectorEnv
 from pwm_gym.errors import PwmGymError
@@ -82,6 +82,10 @@ def rank_contestants(
         workers: policies at once, or who runs them.
         tell: is given a line a finished policy.
 
+    Returns:
+        As of :func:`pwm_gym.evaluation.ranking_table`, the floor as another such table, and what each agent's training
+        took until it was saved.
+
     Raises:
         PwmGymError: fewer than two policies, one named twice, or one that is none.
     """
@@ -104,6 +108,9 @@ def rank_contestants(
     rows = run_pieces(pieces, workers, tell)
     told, real = (np.array([row[key] for row in rows], bool) for key in ("model", "simulator"))
     table = ranking_table(specs, told, real)
+    for row, spec in zip(table["rows"], specs, strict=True):
+        if (took := training_of(spec)) is not None:
+            row["training"] = took
     if floor:
         again = np.array([row["others"] for row in rows], bool)
         count = min(again.shape[1], real.shape[1])

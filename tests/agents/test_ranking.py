@@ -138,6 +138,8 @@ def test_from_policies_to_a_picture(tmp_path, capsys):
     main([*command, "--json", f"{tmp_path}/table.json", "--picture", f"{tmp_path}/table.png"])
     table = json.loads((tmp_path / "table.json").read_text())
     assert [row["name"] for row in table["rows"]] == ["random", str(tmp_path / "policy")]
+    assert "training" not in table["rows"][0] and table["rows"][1]["training"]["steps"] == 16
+    assert table["rows"][1]["training"]["seconds"] > 0.0
     assert table["scenes"] == table["floor"]["scenes"] == 2 and (tmp_path / "table.png").stat().st_size > 10_000
     told = capsys.readouterr().out
     assert "floor: pearson -, spearman -, mmrv 0.000" in told and "[2/2]" in told
