@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
-from formatting import ROOT, SUCCESS_HEAD, grid, paragraph, read, source, success
+from formatting import ROOT, SUCCESS_HEAD, grid, paragraph, read, section, source, success
 
 from pwm_gym.evaluation.ranking import measure_text
 
 _LEARNED = {
     "PickCube, PPO in the model": "agent_pick_cube_ppo",
+    "the same in the simulator": "agent_pick_cube_ppo_sim",
     "StackCube, PPO in the model, from starts in demonstrations": "agent_stack_cube_ppo",
     "the same with a caution of 1": "agent_stack_cube_careful",
     "which goes on in a model that saw its episodes": "agent_stack_cube_further",
@@ -29,6 +30,7 @@ pwm-gym train --data data-sets/StackCube data-sets/StackCube-practice data-sets/
     --phases 1 300 256 5 400 192 15 350 128
 ```
 """
+_GUIDED = {"PickCube": "pick_cube", "StackCube": "stack_cube"}
 _RANKED = {"PickCube": "rank_pick_cube", "StackCube": "rank_stack_cube"}
 
 
@@ -48,12 +50,10 @@ def learned() -> str:
     if not rows:
         return ""
     about = paragraph(
-        "Policies trained by reinforcement learning inside a model alone, the shipped one but for the last, tested",
-        "in the simulator in the planners' test episodes; PPO of stable-baselines3 on entity poses",
-        "([how](train_agent.md)). The last column is",
-        "the model's own training, which other tasks share, and the simulator's steps that it was trained on. Policies",
-        "were trained on one thread beside other processes; PickCube's in three parts, at the beginning of each of",
-        "which the learning rate rose again.",
+        "Policies trained by reinforcement learning, tested in the simulator in the planners' test episodes: PPO of",
+        "stable-baselines3 on entity poses ([how](train_agent.md)), inside a model alone (the shipped one but for the",
+        "last) unless it says so. The last column is the model's own training, which other tasks share, and the",
+        "simulator's steps that it was trained on. Each policy was trained on one thread, another process beside it.",
     )
     head = [*SUCCESS_HEAD, "training of the policy", "of the model"]
     told = "\n".join(sources)
@@ -66,6 +66,8 @@ def _took(training: dict[str, Any]) -> str:
 
 
 def _model_took(training: dict[str, Any]) -> str:
+    if "model_minutes" not in training:
+        return "none"
     return f"{training['model_minutes']:.0f} min, {training['model_data_steps']:,} steps"
 
 
@@ -80,23 +82,55 @@ def ranked() -> str:
 
 
 def _ranking(task: str, name: str, result: dict[str, Any]) -> str:
-    rows = [
-        [f"`{row['name'].removeprefix('runs/')}`", *(_rate(row, world) for world in ("model", "simulator"))]
-        for row in sorted(result["rows"], key=lambda row: row["simulator"])
-    ]
     about = paragraph(
         f"{result['policies']} policies of {task}, {result['between_20_and_80']} of them between 20 and 80 %, each",
         f"from the same {result['scenes']} scenes in the model and in the simulator",
-        f"([how](train_agent.md#rank-policies)): Pearson's r {measure_text(result['pearson'])},",
-        f"Spearman's {measure_text(result['spearman'])}, MMRV {measure_text(result['mmrv'])};",
-        f"{100 * result['agreement']:.0f} % of the episodes end alike.",
+        f"([how](train_agent.md#rank-policies)): {_measures(result)}.",
     )
+    if "floor" in result:
+        about += "\n" + paragraph(
+            "The floor, the simulator against itself from as many other scenes, which no model can be expected to",
+            f"better: {_measures(result['floor'])}.",
+        )
     picture = f"![Success in the model against success in the simulator](images/{name}.png)\n"
     shown = f"\n{picture}" if (ROOT / "docs" / "images" / f"{name}.png").exists() else ""
-    table = grid(["policy", "success in the model", "in the simulator"], rows)
+    rows = [
+        [
+            f"`{row['name'].removeprefix('runs/')}`",
+            *(_rate(row, world) for world in ("model", "simulator")),
+            _took(row["training"]) if "training" in row else "-",
+        ]
+        for row in sorted(result["rows"], key=lambda row: row["simulator"])
+    ]
+    table = grid(["policy", "success in the model", "in the simulator", "its training"], rows)
     return f"## Ranking of policies: {task}\n\n{source(name, result)}\n{about}{shown}\n{table}"
+
+
+def _measures(table: dict[str, Any]) -> str:
+    return (
+        f"Pearson's r {measure_text(table['pearson'])}, Spearman's {measure_text(table['spearman'])}, MMRV "
+        f"{measure_text(table['mmrv'])}; {100 * table['agreement']:.0f} % of the episodes end alike"
+    )
 
 
 def _rate(row: dict[str, Any], world: str) -> str:
     low, high = row[f"{world}_interval"]
     return f"{100 * row[world]:.1f} % ({100 * low:.0f} to {100 * high:.0f})"
+
+
+def guided() -> str:
+    """Planning with few samples, from a policy's plans and without."""
+    rows, sources = [], []
+    for task, stem in _GUIDED.items():
+        for guide in ("guided", "unguided"):
+            result = read(name := f"plan_{stem}_{guide}")
+            if result is not None:
+                label = f"{task}, {result['settings']['samples']} samples"
+                rows.append([label, "a policy's" if guide == "guided" else "the last one alone", *success(result)])
+                sources.append(source(name, result))
+    about = paragraph(
+        "MPPI in closed loop with few samples, whose plans start from what one of the policies above would do in the",
+        "model, where that is cheaper than the last plan ([how](train_agent.md#a-planner-that-starts-from-a-policy)).",
+    )
+    head = ["planned", "plans start from", *SUCCESS_HEAD[1:]]
+    return section("Planning that starts from a policy", sources, about, head, rows)

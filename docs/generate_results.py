@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import Any
 
 from adaptation import adaptation
-from agents import learned, ranked
+from agents import guided, learned, ranked
 from formatting import ROOT, SUCCESS_HEAD, grid, number, paragraph, read, source, success
 from glance import glance
 from published import published
@@ -151,6 +151,7 @@ def page() -> str:
         adaptation(),
         learned(),
         ranked(),
+        guided(),
         _distractors(),
         *task_tables(),
         _EARLIER,
