@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import difflib
+import math
+import numbers
 import operator
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -14,10 +16,12 @@ __all__ = [
     "DatasetError",
     "PwmGymError",
     "SceneError",
+    "UnknownEntityError",
     "UnknownNameError",
     "WriteError",
     "check_seed",
     "check_whole",
+    "is_number",
     "look_up",
     "unknown_name",
     "writing",
@@ -45,6 +49,12 @@ class DatasetError(PwmGymError):
 
 class UnknownNameError(PwmGymError):
     """A name that no registry holds."""
+
+
+class UnknownEntityError(UnknownNameError, KeyError):
+    """An entity that a scene has not."""
+
+    __str__ = ValueError.__str__  # not KeyError's, which quotes the message
 
 
 class WriteError(PwmGymError, OSError):
@@ -107,6 +117,11 @@ def check_whole(name: str, value: Any, least: int, most: int | None = None) -> i
         wanted = f"of at least {least}" if most is None else f"from {least} to {most}"
         raise PwmGymError(f"{name}={value!r}; expected a whole number {wanted}")
     return number
+
+
+def is_number(value: Any) -> bool:
+    """Whether ``value`` is a real number and no NaN, NumPy's included."""
+    return isinstance(value, numbers.Real) and not isinstance(value, bool) and not math.isnan(value)
 
 
 def check_seed(value: Any) -> int:

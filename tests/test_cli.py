@@ -245,6 +245,12 @@ def test_check_cost_says_what_is_wrong(cost_file, function, message):
     assert message in failure("check-cost", "--cost", f"{cost_file}:{function}")
 
 
+@pytest.mark.parametrize(("text", "told"), [("raise RuntimeError('no')", "RuntimeError: no"), ("def", "SyntaxError")])
+def test_a_cost_whose_file_fails_on_import(tmp_path, text, told):
+    (tmp_path / "broken.py").write_text(text)
+    assert f"broken.py fails on import: {told}" in failure("check-cost", "--cost", f"{tmp_path}/broken.py:f")
+
+
 def test_check_cost_of_a_missing_file():
     assert "no file 'none.py'; expected a registered cost or 'file.py:function'" in failure(
         "check-cost", "--cost", "none.py:f"
@@ -315,6 +321,11 @@ def test_a_saved_run_is_drawn(tmp_path, capsys):
     main(["view", str(saved), "--out", str(tmp_path / "view"), "--strip"])
     assert (tmp_path / "view" / f"{saved.stem}-strip.png").exists()
     assert "failure after 3 steps; the model looks every 2 steps" in capsys.readouterr().out
+    arrays = ("actions", "rewards", "plan_seconds", "predicted", "predicted_rewards", "solved")
+    empty = {name: getattr(run, name)[:0] for name in arrays}
+    replace(run, **empty, poses=run.poses[:1], terms={}, predicted_terms={}).save(tmp_path / "empty.npz")
+    for extra in ([], ["--rollout"], ["--html", str(tmp_path / "empty.html")]):
+        assert "empty.npz holds no action" in failure("view", str(tmp_path / "empty.npz"), *extra)
     written = saved.stat().st_mtime_ns
     pictures = ["--pictures", str(tmp_path / "view"), "--json", str(tmp_path / "again.json")]
     main([*args.split(), "--clear-of", "cube", "--save", str(tmp_path / "runs"), *pictures])

@@ -8,7 +8,7 @@ import gymnasium as gym
 import numpy as np
 from gymnasium.utils import RecordConstructorArgs
 
-from pwm_gym.errors import PwmGymError
+from pwm_gym.errors import PwmGymError, is_number
 
 __all__ = ["UNSURE", "UncertaintyPenalty", "check_penalty", "total_error"]
 
@@ -34,10 +34,10 @@ def check_penalty(weight: float, limit: float | None = None) -> None:
     Raises:
         PwmGymError: naming the setting and what was expected.
     """
-    if not 0.0 <= weight < float("inf"):
-        raise PwmGymError(f"weight={weight}; expected a finite value of at least 0")
-    if limit is not None and not limit > 0.0:
-        raise PwmGymError(f"limit={limit}; expected more than 0 metres, or None")
+    if not is_number(weight) or not 0.0 <= weight < float("inf"):
+        raise PwmGymError(f"weight={weight!r}; expected a finite value of at least 0")
+    if limit is not None and (not is_number(limit) or limit <= 0.0):
+        raise PwmGymError(f"limit={limit!r}; expected more than 0 metres, or None")
 
 
 class UncertaintyPenalty(gym.Wrapper[Any, np.ndarray, Any, np.ndarray], RecordConstructorArgs):

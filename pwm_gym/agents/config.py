@@ -10,7 +10,7 @@ from typing import Any
 
 from tyro.conf import Suppress
 
-from pwm_gym.errors import PwmGymError, check_whole, unknown_name
+from pwm_gym.errors import PwmGymError, check_whole, is_number, unknown_name
 
 __all__ = ["ALGORITHMS", "WORLDS", "AgentConfig"]
 
@@ -100,20 +100,19 @@ class AgentConfig:
         }
         for name, bound in {**least, "snapshot_every": 0}.items():
             check_whole(name, getattr(self, name), bound)
-        if not 0.0 <= self.minutes < math.inf:
-            raise PwmGymError(f"minutes={self.minutes}; expected a finite number of at least 0")
-        if not 0.0 <= self.underway <= 1.0:
-            raise PwmGymError(f"underway={self.underway}; expected a share, 0 to 1")
+        for name in ("minutes", "caution"):
+            if not is_number(value := getattr(self, name)) or not 0.0 <= value < math.inf:
+                raise PwmGymError(f"{name}={value!r}; expected a finite number of at least 0")
+        if not is_number(self.underway) or not 0.0 <= self.underway <= 1.0:
+            raise PwmGymError(f"underway={self.underway!r}; expected a share, 0 to 1")
         if self.demonstrations and not (self.scenes and self.world == "model"):
             told = f"scenes={self.scenes} in the {self.world}"
             raise PwmGymError(f"demonstrations={self.demonstrations!r} and {told}; expected some scenes in the model")
-        if not 0.0 <= self.caution < math.inf:
-            raise PwmGymError(f"caution={self.caution}; expected a finite number of at least 0")
         if self.caution and self.world != "model":
             raise PwmGymError(f"caution={self.caution} in the {self.world}; expected the model, which tells its error")
         for name, top in (("discount", 1.0), ("learning_rate", 1.0), ("exploration", 10.0)):
-            if not 0.0 < getattr(self, name) < top:
-                raise PwmGymError(f"{name}={getattr(self, name)}; expected a number between 0 and {top:g}")
+            if not is_number(value := getattr(self, name)) or not 0.0 < value < top:
+                raise PwmGymError(f"{name}={value!r}; expected a number between 0 and {top:g}")
 
     @property
     def environments(self) -> int:

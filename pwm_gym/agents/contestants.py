@@ -38,11 +38,12 @@ def contestant(spec: str, task: Task) -> ActsOnPoses:
 
     Args:
         spec: a folder of ``pwm-gym train-agent``; "expert:0.3", the scripted expert with noise of this standard
-            deviation on its actions; "mppi:64", the planner with so many samples; or "random".
+            deviation on its actions; "mppi:64", the planner with so many samples, in the shipped model or, as
+            "mppi:64@FOLDER", in another checkpoint's; or "random".
         task: that it is to act in.
 
     Raises:
-        UnknownNameError: none of these.
+        UnknownNameError: none of these, or a checkpoint that there is not.
         PwmGymError: a number that cannot be.
         CheckpointError: a folder of another task, or of none.
     """
@@ -125,13 +126,14 @@ class _Expert:
 
 
 class _Planned:
-    """The task's planner in its shipped model, with a number of samples."""
+    """The task's planner with a number of samples, in its shipped model or another checkpoint's."""
 
     def __init__(self, value: str, task: Task) -> None:
-        samples = int(_number(f"mppi:{value}", value, 1.0))
+        count, _, checkpoint = value.partition("@")
+        samples = int(_number(f"mppi:{count}", count, 1.0))
         config = get_planner_config(task.planner).resize(samples)
         self._task = task
-        self._agent = Agent(load_checkpoint(resolve("default", task.name)).model, task.name, config)
+        self._agent = Agent(load_checkpoint(resolve(checkpoint or "default", task.name)).model, task.name, config)
 
     def begin(self, episodes: Sequence[int]) -> None:
         """Forget the last plan."""

@@ -10,11 +10,12 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import torch
+from torch import Tensor
 
 from pwm_gym.agents.contestants import Begins, contestant, training_of
 from pwm_gym.dynamics import resolve
 from pwm_gym.envs import ModelVectorEnv
-from pwm_gym.errors import PwmGymError
+from pwm_gym.errors import PwmGymError, check_whole
 from pwm_gym.evaluation.ranking import ranking_table
 from pwm_gym.experiments.pieces import Piece, run_pieces
 from pwm_gym.learning import digest
@@ -22,7 +23,7 @@ from pwm_gym.policies import ActsOnPoses
 from pwm_gym.process import prepare_process
 from pwm_gym.scene import RigidState, Scene, batch_state
 from pwm_gym.seeds import seed_range
-from pwm_gym.tasks import get_task
+from pwm_gym.tasks import Task, get_task
 from pwm_gym.workers import Workers
 
 __all__ = ["rank_contestants", "rank_policies", "succeeds_in_model", "succeeds_in_twin"]
@@ -48,14 +49,36 @@ def rank_policies(
         max_steps: of an episode; None takes the task's limit.
 
     Returns:
-        As of :func:`pwm_gym.evaluation.ranking_table`.
+        As of :func:`pwm_gym.evaluation.ranking_table`, with ``success``, the paired matrix: name -> "model" and
+        "simulator" -> a digit for each scene, 1 for success.
+
+    Raises:
+        PwmGymError: fewer than two policies, one that has no ``act``, actions of a wrong shape, or a number of scenes
+            that cannot be.
     """
+    check_whole("scenes", scenes, 1)
+    if len(policies) < 2:
+        raise PwmGymError(f"policies {', '.join(map(repr, policies)) or 'none'}; expected at least two")
+    for name, policy in policies.items():
+        if not callable(getattr(policy, "act", None)):
+            raise PwmGymError(f"policy {name!r} is a {type(policy).__name__}; expected something with act(state, goal)")
     told, real = [], []
     for policy in policies.values():
         started, won = succeeds_in_twin(policy, task, seed_range("plan_test", scenes), max_steps)
         real.append(won)
         told.append(succeeds_in_model(policy, task, started, checkpoint, max_steps))
-    return ranking_table([*policies], np.stack(told), np.stack(real))
+    table = ranking_table([*policies], np.stack(told), np.stack(real))
+    return {**table, "success": _paired([*policies], told, real)}
+
+
+def _paired(names: Sequence[str], told: Sequence[Any], real: Sequence[Any]) -> dict[str, dict[str, str]]:
+    """Each policy's success in both worlds, a digit a scene."""
+    rows = zip(names, told, real, strict=True)
+    return {name: {"model": _digits(one), "simulator": _digits(other)} for name, one, other in rows}
+
+
+def _digits(won: Any) -> str:
+    return "".join("1" if each else "0" for each in won)
 
 
 def rank_contestants(
@@ -83,8 +106,8 @@ def rank_contestants(
         tell: is given a line a finished policy.
 
     Returns:
-        As of :func:`pwm_gym.evaluation.ranking_table`, the floor as another such table, and what each agent's training
-        took until it was saved.
+        As of :func:`pwm_gym.evaluation.ranking_table`, the floor as another such table, what each agent's training
+        took until it was saved, and ``success``, as of :func:`rank_policies`.
 
     Raises:
         PwmGymError: fewer than two policies, one named twice, or one that is none.
@@ -99,7 +122,7 @@ def rank_contestants(
         Piece(
             spec,
             "ranked",
-            f"{task}, {_told(spec)}, {model}, scenes={scenes}, max_steps={max_steps}, floor={floor}",
+            f"{task}, {_told(spec, task)}, {model}, scenes={scenes}, max_steps={max_steps}, floor={floor}",
             out,
             partial(_rank_one, spec, task, scenes, checkpoint, max_steps, floor),
         )
@@ -115,12 +138,15 @@ def rank_contestants(
         again = np.array([row["others"] for row in rows], bool)
         count = min(again.shape[1], real.shape[1])
         table["floor"] = ranking_table(specs, again[:, :count], real[:, :count])
-    return {"task": task, **table}
+    return {"task": task, **table, "success": _paired(specs, told, real)}
 
 
-def _told(spec: str) -> str:
-    """What decides a policy: its weights, or its name."""
-    return digest(Path(spec)) if Path(spec).is_dir() else spec
+def _told(spec: str, task: str) -> str:
+    """What decides a policy: its weights, or its name and the model that it plans in."""
+    if Path(spec).is_dir():
+        return digest(Path(spec))
+    kind, _, model = spec.partition("@")
+    return f"{kind}, {digest(resolve(model, task))}" if model else spec
 
 
 def _rank_one(
@@ -159,7 +185,7 @@ def succeeds_in_twin(
             for _ in range(most):
                 state = batch_state([scene])
                 assert isinstance(state, RigidState)
-                action = policy.act(state, torch.as_tensor(scene.goal)[None])[0]
+                action = _act(policy, state, torch.as_tensor(scene.goal)[None], base.task)[0]
                 _, _, terminated, truncated, info = env.step(action.cpu().numpy())
                 if terminated or truncated:
                     break
@@ -183,13 +209,21 @@ def succeeds_in_model(
         for _ in range(max_steps or known.max_episode_steps):
             state = batch.state
             assert isinstance(state, RigidState)
-            _, _, terminated, truncated, _ = batch.step(policy.act(state, batch.goal))
+            _, _, terminated, truncated, _ = batch.step(_act(policy, state, batch.goal, known))
             won[first : first + len(part)] |= terminated & ~ended
             ended |= terminated | truncated
             batch.resume()
             if ended.all():
                 break
     return won
+
+
+def _act(policy: ActsOnPoses, state: RigidState, goal: Tensor, task: Task) -> Tensor:
+    """A policy's actions (B, A), which may be arrays."""
+    action = torch.as_tensor(policy.act(state, goal))
+    if action.shape != (len(goal), task.action_size):
+        raise PwmGymError(f"actions of shape {tuple(action.shape)}; expected {(len(goal), task.action_size)}")
+    return action
 
 
 def _begin(policy: ActsOnPoses, episodes: Sequence[int]) -> None:

@@ -60,11 +60,13 @@ def train(task: str, out: Path, config: AgentConfig | None = None, progress: boo
     """
     config, known = config or AgentConfig(), get_task(task)
     prepare_process(config.threads)
-    spent, begun = _claim(out, known, config), time.perf_counter()
-    scenes = _scenes(known, config, out)
-    spent += time.perf_counter() - begun
+    before, begun = _progress(out, known, config), time.perf_counter()
+    scenes = _scenes(known, config, out, goes_on=before is not None)
+    spent = (before or 0.0) + time.perf_counter() - begun
     with closing(make_world(known, config, scenes)) as world:
         learner = _learner(known, config, world, out)
+        if before is None:  # what does not fit has raised by now, and left the folder free
+            _claim(out, known, config, spent)
         learner.set_logger(configure(str(out / "tensorboard"), ["tensorboard"]))
         saver = _Saver(learner, known, config, out, spent, progress)
         if (left := config.steps - learner.num_timesteps) > 0 and not saver.late:
@@ -73,12 +75,17 @@ def train(task: str, out: Path, config: AgentConfig | None = None, progress: boo
     return saver.told()
 
 
-def _claim(out: Path, task: Task, config: AgentConfig) -> float:
-    """Note whose folder it is, or compare; the seconds that the run took so far."""
+def _claim(out: Path, task: Task, config: AgentConfig, seconds: float) -> None:
+    """Note whose folder it is, and what the run took so far."""
+    run = {"task": task.name, **asdict(config)}
+    write_atomically(out / _PROGRESS, json.dumps({"run": run, "seconds": seconds}).encode())
+
+
+def _progress(out: Path, task: Task, config: AgentConfig) -> float | None:
+    """The seconds that the run in the folder took so far, or None where there is none."""
     path, told = out / _PROGRESS, json.loads(json.dumps({"task": task.name, **asdict(config)}))
     if not path.exists():
-        write_atomically(path, json.dumps({"run": told, "seconds": 0.0}).encode())
-        return 0.0
+        return None
     found = read_json(path, _Progress, PwmGymError)
     was = found.run
     if other := sorted(key for key in {*was, *told} - {"threads", "minutes"} if was.get(key) != told.get(key)):
@@ -87,12 +94,12 @@ def _claim(out: Path, task: Task, config: AgentConfig) -> float:
     return found.seconds
 
 
-def _scenes(task: Task, config: AgentConfig, out: Path) -> SceneBank | None:
+def _scenes(task: Task, config: AgentConfig, out: Path, goes_on: bool) -> SceneBank | None:
     """What the model's episodes start from, drawn once a run."""
     if config.world != "model" or not config.scenes:
         return None
     path = out / _SCENES
-    if not path.exists():
+    if not (goes_on and path.exists()):
         _draw(task, config).save(path)
     return SceneBank.load(path)
 
@@ -182,8 +189,7 @@ class _Saver(BaseCallback):
         save_agent(folder or self.out, self.model.policy, self.task, self.config, told)
         with replacing(self.out / _STATE) as file:
             self.model.save(file)
-        run = {"task": self.task.name, **asdict(self.config)}
-        write_atomically(self.out / _PROGRESS, json.dumps({"run": run, "seconds": told["seconds"]}).encode())
+        _claim(self.out, self.task, self.config, told["seconds"])
 
     def told(self) -> dict[str, Any]:
         """What the training took so far."""

@@ -74,7 +74,11 @@ class CheckCost:
 
 
 def find_cost(name: str) -> str | Callable[..., Any]:
-    """A registered name as it is, or the function of a file."""
+    """A registered name as it is, or the function of a file.
+
+    Raises:
+        PwmGymError: there is no such file, it fails on import, or has no such function.
+    """
     path, _, function = name.partition(":")
     if not function:
         return name
@@ -83,7 +87,10 @@ def find_cost(name: str) -> str | Callable[..., Any]:
     spec = importlib.util.spec_from_file_location("user_cost", path)
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:  # of a user's file: whatever it may be
+        raise PwmGymError(f"{path} fails on import: {type(error).__name__}: {error}") from error
     if not hasattr(module, function):
         raise PwmGymError(f"{path} has no function {function!r}")
     return getattr(module, function)

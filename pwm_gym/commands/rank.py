@@ -23,7 +23,7 @@ class Rank:
 
     policies: tyro.conf.Positional[tuple[str, ...]]
     """Folders of ``pwm-gym train-agent`` (their ``snapshots/``, too), "expert:0.3" (the scripted expert with noise),
-    "mppi:64" (the planner with so many samples), "random"."""
+    "mppi:64" (the planner with so many samples; "mppi:64@FOLDER" in another checkpoint's model), "random"."""
     task: str = "PickCube"
     """Registered task."""
     scenes: int = 200

@@ -11,7 +11,7 @@ import tyro
 from pwm_gym.agents.config import ALGORITHMS, WORLDS, AgentConfig
 from pwm_gym.commands.folders import data_folder, run_folder
 from pwm_gym.commands.numbers import check_least
-from pwm_gym.errors import unknown_name
+from pwm_gym.errors import PwmGymError, unknown_name
 from pwm_gym.policies import CloningConfig, PolicyConfig
 
 if TYPE_CHECKING:
@@ -61,6 +61,8 @@ class TrainAgent:
         from pwm_gym.tasks import get_task
 
         check_least(self, demonstrations=0, episodes=0)
+        if self.video is not None and not self.episodes:
+            raise PwmGymError(f"video={self.video} and episodes=0; expected an episode that it is of")
         known = {"algo": ("cloning", *ALGORITHMS), "world": WORLDS, "test_in": WORLDS}
         for name, values in known.items():
             if getattr(self, name) not in values:
@@ -71,13 +73,14 @@ class TrainAgent:
             self._test(task, policy, took)
 
     def _cloned(self, task: Task) -> tuple[ActsOnPoses, dict[str, Any]]:
-        """A policy cloned from demonstrations, and how many they were."""
-        from pwm_gym.policies import clone, load_policy
+        """A policy cloned from demonstrations, and what that took."""
+        from pwm_gym.policies import clone, cloning_took, load_policy
 
         data, out = data_folder(task.name, self.data), run_folder(f"{task.name}-cloned", self.out)
         clone(task.name, data, out, self.training, self.network, self.demonstrations)
-        print(f"policy: {out}")
-        return load_policy(out), {"demonstrations": self.demonstrations}
+        took = cloning_took(out)
+        print(f"policy: {out}; cloned from {took['demonstrations']} demonstrations")
+        return load_policy(out), {"algorithm": "cloning", "training": took}
 
     def _learned(self, task: Task) -> tuple[ActsOnPoses, dict[str, Any]]:
         """A policy trained in a world, and what that took."""

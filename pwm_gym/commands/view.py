@@ -55,9 +55,12 @@ class View:
     def run(self) -> None:
         """Write what is asked for, and print the run's facts."""
         from pwm_gym.dynamics import load_checkpoint, resolve
+        from pwm_gym.errors import PwmGymError
         from pwm_gym.planning import Agent, Run
 
         run = Run.load(self.run_file)
+        if not run.steps:
+            raise PwmGymError(f"{self.run_file} holds no action: nothing happened that could be shown")
         shown = _LOOKS.get(run.chunk, f"the model looks every {run.chunk} steps")
         if self.rollout:
             task = run.start.task

@@ -19,7 +19,7 @@ import torch
 from torch import Tensor
 
 from pwm_gym.costs.expressions import is_sum, parse_sum
-from pwm_gym.errors import PwmGymError, look_up
+from pwm_gym.errors import PwmGymError, UnknownEntityError, look_up
 from pwm_gym.scene import EntityPoints, RigidState, State
 
 __all__ = [
@@ -115,8 +115,8 @@ class Cost:
         batch = len(info["action"])
         try:
             value = function(points, info)
-        except KeyError as error:
-            raise PwmGymError(f"cost {self.name!r}: {error.args[0]}") from error
+        except UnknownEntityError as error:
+            raise PwmGymError(f"cost {self.name!r}: {error}") from error
         except PwmGymError:
             raise
         except Exception as error:  # of a user's function: whatever it may be, it says which cost failed
@@ -149,6 +149,7 @@ def register_cost(name: str, batched: bool = True) -> Callable[[F], F]:
             and returns a scalar; it may take a first argument ``cfg`` with ``cfg.device``, as the paper's listing does.
 
     Raises:
+        PwmGymError: the name is none, or what is registered no function.
         ValueError: the name is taken.
 
     Example:
@@ -170,10 +171,10 @@ def register_terms(name: str, terms: Mapping[str, tuple[float, Function]]) -> Co
     """Register a cost that is a weighted sum of named terms, each of which is logged in ``info["cost_terms"]``.
 
     Raises:
+        PwmGymError: the name is none.
         ValueError: the name is taken.
     """
-    if name in COSTS:
-        raise ValueError(f"cost {name!r} is registered already")
+    check_name("cost", name, COSTS)
     COSTS[name] = Cost(name, dict(terms))
     return COSTS[name]
 
@@ -236,14 +237,26 @@ def cost_info(state: State, action: Tensor, goal: Tensor, grasp: Function) -> tu
 
 
 def _register(registry: dict[str, Function], kind: str, name: str) -> Callable[[F], F]:
-    if name in registry:
-        raise ValueError(f"{kind} {name!r} is registered already")
+    check_name(kind, name, registry)
 
     def register(function: F) -> F:
         registry[name] = function
         return function
 
     return register
+
+
+def check_name(kind: str, name: Any, taken: Mapping[str, Any]) -> None:
+    """Refuse to register what has no name, or one that is taken.
+
+    Raises:
+        PwmGymError: ``name`` is none.
+        ValueError: it is taken.
+    """
+    if not isinstance(name, str) or not name:
+        raise PwmGymError(f"{kind} {name!r} is to be registered; expected a name")
+    if name in taken:
+        raise ValueError(f"{kind} {name!r} is registered already")
 
 
 def _each(function: Function) -> Function:

@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from pwm_gym.costs.registry import COSTS, Cost, Function, Info, Points
-from pwm_gym.errors import PwmGymError
+from pwm_gym.costs.registry import COSTS, Cost, Function, Info, Points, check_name
+from pwm_gym.errors import PwmGymError, UnknownEntityError
 
 __all__ = ["FINISHED", "STAGES_LEFT", "UNDONE", "Stage", "StagedCost", "register_stages"]
 
@@ -156,8 +156,8 @@ class StagedCost(Cost):
         """What (B,) a rule of stage ``k`` says."""
         try:
             return rule(points, info)
-        except KeyError as error:
-            raise PwmGymError(f"cost {self.name!r}, stage {self.stages[k].name!r}: {error.args[0]}") from error
+        except UnknownEntityError as error:
+            raise PwmGymError(f"cost {self.name!r}, stage {self.stages[k].name!r}: {error}") from error
 
 
 def register_stages(
@@ -172,10 +172,9 @@ def register_stages(
 
     Raises:
         ValueError: the name is taken.
-        PwmGymError: a sequence that cannot be (:class:`StagedCost`).
+        PwmGymError: the name is none, or a sequence that cannot be (:class:`StagedCost`).
     """
-    if name in COSTS:
-        raise ValueError(f"cost {name!r} is registered already")
+    check_name("cost", name, COSTS)
     cost = StagedCost(name, dict(terms or {}), tuple(stages))
     COSTS[name] = cost
     return cost

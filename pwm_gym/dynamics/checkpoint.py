@@ -210,8 +210,12 @@ def use_device(device: str) -> torch.device:
     """A PyTorch device that exists here.
 
     Raises:
-        CheckpointError: CUDA was asked for where there is none.
+        CheckpointError: it is none, or CUDA where there is none.
     """
-    if device.startswith("cuda") and not torch.cuda.is_available():
+    try:
+        known = torch.device(device)
+    except (RuntimeError, TypeError) as error:
+        raise CheckpointError(f"device={device!r}; expected a PyTorch device, such as 'cpu' or 'cuda'") from error
+    if known.type == "cuda" and not torch.cuda.is_available():
         raise CheckpointError(f"device={device!r}, but PyTorch {torch.__version__} sees no CUDA device; use 'cpu'")
-    return torch.device(device)
+    return known

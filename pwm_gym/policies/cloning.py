@@ -12,7 +12,7 @@ from torch import Tensor, nn
 
 from pwm_gym.data import Dataset, load_demonstrations
 from pwm_gym.errors import CheckpointError, DatasetError, PwmGymError
-from pwm_gym.learning import LoopConfig, run_training
+from pwm_gym.learning import Clock, LoopConfig, run_training
 from pwm_gym.learning.weights import load_weights, read_description, rebuild, save_weights
 from pwm_gym.policies.network import Policy, PolicyConfig, boxes_of
 from pwm_gym.scene import SCHEMA
@@ -20,7 +20,7 @@ from pwm_gym.scene.se3 import matrix_from_pose7
 from pwm_gym.schema import convert
 from pwm_gym.tasks import Task, get_task
 
-__all__ = ["CloningConfig", "clone", "load_policy"]
+__all__ = ["CloningConfig", "clone", "cloning_took", "load_policy"]
 
 _FORMAT = "pwm_gym.policy"
 _LEAST_SPREAD = 1e-3  # of a feature that hardly changes
@@ -94,7 +94,7 @@ def clone(
         DatasetError: no such data set, or fewer demonstrations in it.
         PwmGymError: a number of episodes that cannot be.
     """
-    config, known = config or CloningConfig(), get_task(task)
+    config, known, clock = config or CloningConfig(), get_task(task), Clock()
     if episodes < 0:
         raise PwmGymError(f"episodes={episodes}; expected 0 (all) or more")
     torch.manual_seed(config.seed)
@@ -119,10 +119,10 @@ def clone(
 
     def save(model: nn.Module, metrics: dict[str, float]) -> None:
         described = {"task": known.name, "config": asdict(policy.config), "demonstrations": len(train.episodes)}
-        training = {"settings": config.describe(), "metrics": metrics}
+        training = {"settings": config.describe(), "metrics": metrics, "data_steps": len(features), **clock.spent()}
         save_weights(out, model, {"format": _FORMAT, "schema": SCHEMA, **described, "training": training})
 
-    run_training(policy, _Loss(policy), draw, config, out, validate, save, progress)
+    run_training(policy, _Loss(policy), draw, config, out, validate, save, progress, clock)
     return out
 
 
@@ -140,6 +140,17 @@ def load_policy(folder: str | Path) -> Policy:
     policy = rebuild(folder, asdict(config), lambda: Policy(task.layout, task.action_size, task.goal_size, config))
     load_weights(policy, folder)
     return policy
+
+
+def cloning_took(folder: str | Path) -> dict[str, Any]:
+    """Demonstrations and their steps that a cloned policy's training saw, and its minutes, where they are told.
+
+    Raises:
+        CheckpointError: missing, damaged or foreign files.
+    """
+    found = read_description(Path(folder), _FORMAT, SCHEMA, _Facts)
+    kept = {key: found["training"][key] for key in ("data_steps", "minutes") if key in found.get("training", {})}
+    return {"demonstrations": found["demonstrations"], **kept}
 
 
 def _demonstrations(data: Path, split: str, task: Task, episodes: int = 0) -> Dataset:

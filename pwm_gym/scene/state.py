@@ -14,6 +14,7 @@ from typing import Any, Protocol, runtime_checkable
 import torch
 from torch import Tensor
 
+from pwm_gym.errors import UnknownEntityError
 from pwm_gym.scene.layout import Layout
 from pwm_gym.scene.se3 import make_pose, transform
 
@@ -274,7 +275,7 @@ class EntityPoints(Mapping[str, Tensor]):
     def __getitem__(self, name: str) -> Tensor:
         if name not in self._formed:
             if name not in self._state.layout.names:
-                raise KeyError(f"no entity {name!r}; this scene has {', '.join(self._state.layout.names)}")
+                raise UnknownEntityError(f"no entity {name!r}; this scene has {', '.join(self._state.layout.names)}")
             points = self._state.entity(name)
             if self._velocity:
                 points = points - self._state.entity(name, 1)

@@ -93,8 +93,8 @@ def test_scenes_are_drawn_once_a_run(monkeypatch, tmp_path):
 
     monkeypatch.setattr(training, "simulated_bank", draw)
     config = replace(SMALL, scenes=2)
-    for _ in range(2):
-        bank = training._scenes(TASK, config, tmp_path)
+    for goes_on in (False, True):
+        bank = training._scenes(TASK, config, tmp_path, goes_on)
     assert drawn == [2] and len(bank) == 2
     with closing(make_world(TASK, config, bank)) as world:
         goals = world.reset()[:, -3:]
@@ -113,7 +113,7 @@ def test_caution_takes_the_expected_error_off_the_rewards():
 
 def test_scenes_may_be_of_demonstrations(data_folder, tmp_path):
     config = replace(SMALL, scenes=30, demonstrations=str(data_folder), underway=1.0)
-    bank = training._scenes(TASK, config, tmp_path)
+    bank = training._scenes(TASK, config, tmp_path, goes_on=False)
     shown = load_split(data_folder, "train").of_kinds(("expert", "randomised"))
     first = {e.poses[0].tobytes() for e in shown.episodes}
     assert len(bank) == 30 and sum(poses.tobytes() in first for poses in bank.poses) < 5
@@ -168,8 +168,7 @@ def test_another_kind_of_run_is_no_beginning(trained, tmp_path):
         ({"init": folder, "algorithm": "sac"}, r"is a run of \{'algorithm': 'ppo'\}; expected \{'algorithm': 'sac'\}"),
     ):
         with pytest.raises(CheckpointError, match=message):
-            train("PickCube", tmp_path / "other", replace(SMALL, **change), progress=False)
-        shutil.rmtree(tmp_path / "other")
+            train("PickCube", tmp_path / "other", replace(SMALL, **change), progress=False)  # which claims no folder
     broken = shutil.copytree(folder, tmp_path / "broken")
     (broken / "training-state.zip").write_bytes(b"PK")
     with pytest.raises(CheckpointError, match=r"training-state\.zip is missing, truncated or foreign"):
@@ -228,6 +227,8 @@ def test_twins_are_learned_in_with_training_seeds_alone(monkeypatch, tmp_path):
         ({"observation": "pose"}, UnknownNameError, "unknown observation 'pose'; known: points, poses"),
         ({"steps": 0}, PwmGymError, "steps=0; expected a whole number of at least 1"),
         ({"num_envs": -1}, PwmGymError, "num_envs=-1; expected a whole number of at least 0"),
+        ({"discount": "a"}, PwmGymError, "discount='a'; expected a number between 0 and 1"),
+        ({"underway": None}, PwmGymError, "underway=None; expected a share, 0 to 1"),
         ({"discount": 1.0}, PwmGymError, "discount=1.0; expected a number between 0 and 1"),
         ({"exploration": float("nan")}, PwmGymError, "exploration=nan; expected a number between 0 and 10"),
         ({"minutes": -1.0}, PwmGymError, r"minutes=-1\.0; expected a finite number of at least 0"),

@@ -1,6 +1,7 @@
 """Policies compared in both worlds: the measures by hand, the contestants, and a comparison from start to picture."""
 
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -8,8 +9,9 @@ import torch
 
 from pwm_gym.agents import AgentConfig, train
 from pwm_gym.agents.contestants import contestant
-from pwm_gym.agents.ranking import rank_contestants, rank_policies, succeeds_in_model
+from pwm_gym.agents.ranking import _told, rank_contestants, rank_policies, succeeds_in_model
 from pwm_gym.cli import main
+from pwm_gym.dynamics import resolve
 from pwm_gym.errors import CheckpointError, PwmGymError, UnknownNameError
 from pwm_gym.evaluation import max_rank_violation, ranking_table
 from pwm_gym.scene import batch_state
@@ -98,6 +100,7 @@ def test_a_planner_acts_where_policies_do(scene):
         ),
         ("expert:-1", PwmGymError, "'expert:-1' names no policy; expected a number of at least 0 after the colon"),
         ("expert:nan", PwmGymError, "'expert:nan' names no policy"),
+        ("mppi:8@nowhere", UnknownNameError, "unknown checkpoint 'nowhere'"),
         ("mppi:", PwmGymError, "'mppi:' names no policy; expected a number of at least 1"),
         ("random:3", PwmGymError, "random:3; expected random alone"),
     ],
@@ -105,6 +108,49 @@ def test_a_planner_acts_where_policies_do(scene):
 def test_names_that_are_no_policy(spec, kind, message):
     with pytest.raises(kind, match=message):
         contestant(spec, TASK)
+
+
+def test_a_planner_in_another_checkpoint(scene, tmp_path):
+    copy = shutil.copytree(resolve("default", "PickCube"), tmp_path / "copy")
+    state, goal = batch_state([scene]), torch.as_tensor(scene.goal)[None]
+    actions = []
+    for spec in ("mppi:8", f"mppi:8@{copy}"):
+        policy = contestant(spec, TASK)
+        policy.begin([0])
+        actions.append(policy.act(state, goal))
+    torch.testing.assert_close(*actions)  # the same weights
+    assert _told("mppi:8", "PickCube") != _told(f"mppi:8@{copy}", "PickCube") != _told("mppi:9", "PickCube")
+
+
+class Asks:
+    """Asks for the same always."""
+
+    def __init__(self, action):
+        self.action = action
+
+    def act(self, state, goal):
+        return self.action
+
+
+def test_policies_of_ones_own(env):
+    up, down = (Asks(np.full((1, 7), value, np.float32)) for value in (0.5, -0.5))
+    table = rank_policies({"up": up, "down": down}, "PickCube", scenes=1, max_steps=2)
+    assert table["success"] == {name: {"model": "0", "simulator": "0"} for name in ("up", "down")}
+
+
+@pytest.mark.parametrize(
+    ("policies", "scenes", "message"),
+    [
+        ({"one": Asks(None)}, 3, "policies 'one'; expected at least two"),
+        ({}, 3, "policies none; expected at least two"),
+        ({"one": Asks(None), "two": "random"}, 3, r"policy 'two' is a str; expected something with act\(state, goal\)"),
+        ({"one": Asks(None), "two": Asks(None)}, "a", "scenes='a'; expected a whole number of at least 1"),
+        ({k: Asks(np.zeros((1, 6))) for k in "ab"}, 1, r"actions of shape \(1, 6\); expected \(1, 7\)"),
+    ],
+)
+def test_policies_that_cannot_be_ranked(policies, scenes, message):
+    with pytest.raises(PwmGymError, match=message):
+        rank_policies(policies, "PickCube", scenes=scenes, max_steps=2)
 
 
 def test_folders_of_other_things(tmp_path):
@@ -140,6 +186,7 @@ def test_from_policies_to_a_picture(tmp_path, capsys):
     assert [row["name"] for row in table["rows"]] == ["random", str(tmp_path / "policy")]
     assert "training" not in table["rows"][0] and table["rows"][1]["training"]["steps"] == 16
     assert table["rows"][1]["training"]["seconds"] > 0.0
+    assert table["success"]["random"] == {"model": "00", "simulator": "00"}
     assert table["scenes"] == table["floor"]["scenes"] == 2 and (tmp_path / "table.png").stat().st_size > 10_000
     told = capsys.readouterr().out
     assert "floor: pearson -, spearman -, mmrv 0.000" in told and "[2/2]" in told

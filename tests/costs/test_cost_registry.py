@@ -106,6 +106,7 @@ def test_an_unknown_name_is_answered_with_the_nearest(get, kind):
     ("function", "message"),
     [
         (lambda p, i: p["mug"].mean((-2, -1)), "no entity 'mug'; this scene has hand, left_gripper, .*cube"),
+        (lambda p, i: i["nope"], r"\(bad\) failed: KeyError: 'nope'"),
         (lambda p, i: p["cube"].mean(-2), r"returned \(3, 3\); expected a tensor \(3,\)"),
         (lambda p, i: p["cube"].mean(), r"returned \(\); expected a tensor \(3,\)"),
         (lambda p, i: 0.5, "returned float; expected a tensor"),
@@ -117,6 +118,13 @@ def test_a_failing_cost_is_explained(costs, view, function, message):
     register_cost("bad")(function)
     with pytest.raises(PwmGymError, match=f"cost 'bad'.*{message}"):
         get_cost("bad")(*view)
+
+
+@pytest.mark.parametrize("register", [register_cost, register_success, register_grasp])
+@pytest.mark.parametrize("name", [5, None, ""])
+def test_what_has_no_name_is_not_registered(register, name):
+    with pytest.raises(PwmGymError, match=f"{name!r} is to be registered; expected a name"):
+        register(name)(height)
 
 
 def test_an_unbatched_cost_sees_one_scene_at_a_time(costs, view):

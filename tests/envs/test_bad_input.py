@@ -221,6 +221,12 @@ def test_cuda_without_a_gpu():
         gym.make(ID, device="cuda")
 
 
+@pytest.mark.parametrize("device", ["foo", 3.5, None])
+def test_devices_that_are_none(device):
+    with pytest.raises(CheckpointError, match=f"device={device!r}; expected a PyTorch device"):
+        gym.make(ID, device=device)
+
+
 def test_state_before_the_first_reset():
     with pytest.raises(PwmGymError, match=r"no state yet; call reset\(\) first"):
         gym.make_vec(ID, num_envs=1).step(np.zeros((1, 7), np.float32))

@@ -158,6 +158,8 @@ def test_a_simulator_knows_no_error_of_its_own_and_weights_are_checked(sim, env)
     for settings, message in (
         ({"weight": -1.0}, "weight=-1.0; expected"),
         ({"weight": float("nan")}, "weight=nan; expected"),
+        ({"weight": "a"}, "weight='a'; expected a finite value"),
+        ({"weight": 1.0, "limit": "a"}, "limit='a'; expected more than 0 metres"),
         ({"weight": 1.0, "limit": 0.0}, "limit=0.0; expected more than 0"),
     ):
         with pytest.raises(PwmGymError, match=message):
