@@ -93,6 +93,19 @@ def test_a_task_of_ones_own_is_one_short_file(monkeypatch, tmp_path, kept_regist
     assert names["observation"]["points"].shape == (1200, 3)
 
 
+def test_a_robot_of_ones_own_and_a_model_of_it(monkeypatch, tmp_path, capsys):
+    monkeypatch.chdir(tmp_path)
+    names = run_page("docs/own_robot.md")
+    assert names["LAYOUT"].names == ("palm", "finger", "cube") and names["LIFT"].driven == ("palm", "finger")
+    assert "torch.Size([1, 200, 3])" in capsys.readouterr().out
+
+
+def test_a_checkpoint_is_published_to_a_folder(monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    names = run_page("docs/publish.md")
+    assert "PickCube" in names["checkpoint"].tasks and names["observation"] in names["env"].observation_space
+
+
 def test_a_cost_of_ones_own_rewards_environments_and_batches(kept_registries):
     names = run_page("docs/own_cost.md")
     assert names["env"].unwrapped.rules.cost.name == "lift_cube"

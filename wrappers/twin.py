@@ -56,7 +56,11 @@ class Twin(gym.Wrapper[dict[str, np.ndarray], np.ndarray, dict[str, np.ndarray],
     cost).
 
     Example:
-        >>> env = Twin(gym.make("pwm/PickCube-v0"), gym.make("pwm/PickCubeSim-v0"))  # doctest: +SKIP
+        >>> env = Twin(gym.make("pwm/PickCube-v0"), gym.make("pwm/PickCubeSim-v0"), resync=10)
+        >>> observation, info = env.reset(seed=0)
+        >>> *_, info = env.step(np.zeros(7, np.float32))
+        >>> sorted(info["divergence"])
+        ['chamfer_l1', 'position', 'reward', 'rotation']
 
     Args:
         env: model environment.

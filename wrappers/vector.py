@@ -46,6 +46,11 @@ class Subsample(gym.vector.VectorWrapper):
     Args:
         env: native batch.
         points: number of points of a scene in all.
+
+    Example:
+        >>> envs = Subsample(gym.make_vec("pwm/PickCube-v0", num_envs=2), 100)
+        >>> envs.single_observation_space["points"].shape
+        (100, 3)
     """
 
     def __init__(self, env: gym.vector.VectorEnv[Any, Any, Any], points: int) -> None:
@@ -74,6 +79,9 @@ class UncertaintyPenalty(gym.vector.VectorWrapper):
     Args:
         env: native batch whose world model tells its expected error.
         weight: reward for a metre of expected error, all entities together.
+
+    Example:
+        >>> envs = UncertaintyPenalty(gym.make_vec("pwm/PickCube-v0", num_envs=2), weight=2.0)
     """
 
     def __init__(self, env: gym.vector.VectorEnv[Any, Any, Any], weight: float) -> None:
