@@ -99,11 +99,13 @@ def _main(args: Sequence[str] | None) -> None:
 def _run(name: str, args: Sequence[str]) -> None:
     import tyro
 
+    from pwm_gym.commands.folders import check_outputs
     from pwm_gym.errors import PwmGymError
 
     module = importlib.import_module(f"pwm_gym.commands.{_module(name)}")
     try:
         command: Any = tyro.cli(getattr(module, _class(name)), prog=f"pwm-gym {name}", args=args)
+        check_outputs(command)
         command.run()
     except PwmGymError as error:
         raise SystemExit(f"pwm-gym: {error}") from None

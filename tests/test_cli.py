@@ -251,6 +251,16 @@ def test_a_cost_whose_file_fails_on_import(tmp_path, text, told):
     assert f"broken.py fails on import: {told}" in failure("check-cost", "--cost", f"{tmp_path}/broken.py:f")
 
 
+def test_what_cannot_be_written_is_told_at_once(tmp_path):
+    (tmp_path / "file").write_text("")
+    for option, path in (
+        ("--json", tmp_path / "file" / "x.json"),
+        ("--json", tmp_path),
+        ("--pictures", tmp_path / "file"),
+    ):
+        assert "cannot be written" in failure("plan", "--task", "NoSuchTask", option, str(path))
+
+
 def test_check_cost_of_a_missing_file():
     assert "no file 'none.py'; expected a registered cost or 'file.py:function'" in failure(
         "check-cost", "--cost", "none.py:f"

@@ -46,7 +46,7 @@ class TrainAgent:
     json: Path | None = None
     """Where to write the test's results."""
     video: Path | None = None
-    """Where to draw the test's first episode, as a GIF."""
+    """Where to draw the test's first episode: an ``.mp4`` or a GIF."""
     data: Path | None = None
     """Of cloning: folder of a data set. None takes ``data-sets/`` and the task's name."""
     demonstrations: int = 0
@@ -107,14 +107,14 @@ class TrainAgent:
             self._draw(runs[0])
 
     def _draw(self, run: Run) -> None:
-        """A GIF of a run beside the model's prediction of its actions."""
+        """A film of a run beside the model's prediction of its actions."""
         from pwm_gym.commands.view import FROM_THE_FIRST, rolled_out, twin_record
         from pwm_gym.dynamics import load_checkpoint, resolve
         from pwm_gym.planning import Agent
-        from pwm_gym.viewer import write_gif
+        from pwm_gym.viewer import write_gif, write_mp4
 
         assert self.video is not None
         model = load_checkpoint(resolve(self.agent.checkpoint, self.task)).model
         record = twin_record(rolled_out(run, Agent(model, self.task)), FROM_THE_FIRST)
         shown = replace(record, title=f"{self.task}: {self.algo} in the {self.test_in}")
-        print(write_gif(shown, self.video))
+        print((write_mp4 if self.video.suffix == ".mp4" else write_gif)(shown, self.video))

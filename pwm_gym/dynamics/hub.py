@@ -72,11 +72,13 @@ def push_to_hub(
         The commit's address.
 
     Raises:
-        CheckpointError: the repository cannot be written.
+        CheckpointError: no repository's name, or one that cannot be written.
         ImportError: the extra ``hub`` is missing.
     """
     import tempfile
 
+    if not _names_repository(repository):
+        raise CheckpointError(f"repository={repository!r}; expected owner/name")
     hub = _library()
     api = hub.HfApi()
     with tempfile.TemporaryDirectory() as folder:
@@ -96,13 +98,18 @@ def download(name: str) -> Path:
         ImportError: the extra ``hub`` is missing.
     """
     repository, _, revision = name.removeprefix(HUB).partition("@")
-    if repository.count("/") != 1 or not all(repository.split("/")):
+    if not _names_repository(repository):
         raise CheckpointError(f"checkpoint {name!r}; expected {HUB}owner/name or {HUB}owner/name@revision")
     hub = _library()
     path = _told(
         name, lambda: hub.snapshot_download(repository, revision=revision or None, allow_patterns=[*_FILES, _CARD])
     )
     return Path(path)
+
+
+def _names_repository(name: str) -> bool:
+    """Whether it is ``owner/name``."""
+    return name.count("/") == 1 and all(name.split("/"))
 
 
 def model_card(checkpoint: Checkpoint) -> str:

@@ -113,9 +113,11 @@ def load_weights(model: nn.Module, folder: Path) -> None:
     """Fill ``model`` with the folder's weights; it is in evaluation mode then, without gradients.
 
     Raises:
-        CheckpointError: the file is truncated, foreign, of another architecture, or a weight is not finite.
+        CheckpointError: the file is missing, truncated, foreign, of another architecture, or a weight is not finite.
     """
     path = folder / _WEIGHTS
+    if not path.exists():
+        raise CheckpointError(f"{folder} is not a checkpoint: it has no {_WEIGHTS}")
     try:
         weights = load_file(path)
     except _DAMAGE as error:

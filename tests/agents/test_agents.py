@@ -282,6 +282,7 @@ def test_from_the_command_line(tmp_path, capsys, monkeypatch):
     [
         (["--algo", "dqn"], "unknown algo 'dqn'; known: cloning, ppo, sac"),
         (["--in", "real"], "unknown world 'real'; known: model, sim"),
+        (["--episodes", "0", "--video", "x.gif"], "video=x.gif and episodes=0; expected an episode"),
         (["--algo", "ppo", "--test-in", "sims"], "unknown test_in 'sims'; known: model, sim. Did you mean 'sim'"),
     ],
 )

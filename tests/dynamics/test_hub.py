@@ -108,6 +108,12 @@ def test_an_upload_sends_the_files_and_returns_the_commit(monkeypatch):
     assert {"README.md", "config.json", "model.safetensors", "scenes-PickCube.npz"} <= calls[1][2]
 
 
+@pytest.mark.parametrize("name", ["none", "a/b/c", "/panda", "someone/"])
+def test_a_repository_has_an_owner_and_a_name(name):
+    with pytest.raises(CheckpointError, match=f"repository='{name}'; expected owner/name"):
+        push_to_hub("panda", name)
+
+
 def test_the_command_writes_a_folder_or_uploads(tmp_path, capsys):
     main(["publish", "--checkpoint", "kitchen", "--out", str(tmp_path / "out")])
     assert str(tmp_path / "out") in capsys.readouterr().out

@@ -266,7 +266,7 @@ CHECKPOINTS = {
         lambda f: cut(f / "model.safetensors"),
         "model.safetensors is truncated or not safetensors",
     ),
-    "no weights": (lambda f: (f / "model.safetensors").unlink(), "model.safetensors is truncated"),
+    "no weights": (lambda f: (f / "model.safetensors").unlink(), "not a checkpoint: it has no model.safetensors"),
     "other weights": (
         lambda f: edited(f, model="paper", config={}),
         "model.safetensors does not fit its config.json",
