@@ -239,7 +239,7 @@ def _onsets() -> str:
 
 def _planned() -> str:
     """Success of the shipped checkpoint in each task, by mode."""
-    rows, sources = [], []
+    rows, sources, sheets = [], [], {}
     for task, stem in _PLANNED.items():
         for suffix, mode in _PLAN_MODES.items():
             name = f"{stem}_{suffix}"
@@ -249,6 +249,8 @@ def _planned() -> str:
                 if task in _MIXED and result["objects"]:
                     rows.append([f"{task}, those alone that the expert lifts", mode, *_liftable(result)])
                 sources.append(source(name, result))
+                if "picture" in result:
+                    sheets[f"{task}, {mode}"] = result["picture"]
     about = paragraph(
         "MPPI with the default settings, executed in the simulator, at most as many steps as the task allows. In",
         "closed loop the planner looks at every step, in open loop at the first scene alone. The rows of StackCube and",
@@ -258,7 +260,13 @@ def _planned() -> str:
         "are all 48 that training saw, of which the scripted expert lifts 43. Some rows were measured beside other",
         "processes, which their seconds show.",
     )
-    return _successes("Planning", about, ["task", "mode"], rows, sources)
+    return _successes("Planning", about, ["task", "mode"], rows, sources) + _failed_sheets(sheets)
+
+
+def _failed_sheets(sheets: dict[str, str]) -> str:
+    """Links to pictures of failed episodes."""
+    links = [f"[{label}](images/{path})" for label, path in sheets.items() if (ROOT / "docs/images" / path).exists()]
+    return f"\nFailed episodes in pictures: {', '.join(links)}.\n" if links else ""
 
 
 def _cloned() -> str:

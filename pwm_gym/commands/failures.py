@@ -31,10 +31,9 @@ def draw_failures(pictures: Path, row: str, mode: str, runs: Sequence[Run]) -> s
     records = []
     for run in sorted(runs, key=_reached):
         record = twin_record(run, "")
-        told = f"seed {run.seed}: {run.steps} steps, clouds {1e3 * record.error[-1]:.0f} mm apart at the end"
-        if run.stages:
-            told = f"seed {run.seed}: {run.stages[-1]!r} after {run.steps} steps"
-        records.append(replace(record, subtitle=told))
+        real, foretold = run.rewards[-1], run.predicted_rewards[-1]
+        ended = f"in {run.stages[-1]!r}" if run.stages else f"at reward {real:.2f}, foretold {foretold:.2f}"
+        records.append(replace(record, subtitle=f"seed {run.seed}: {ended} after {run.steps} steps"))
     name = re.sub(r"[^a-z0-9]+", "-", f"{row} {mode}".lower())
     path = Path("failures") / f"{name}.png"
     (pictures / path).parent.mkdir(parents=True, exist_ok=True)
