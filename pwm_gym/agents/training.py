@@ -11,7 +11,7 @@ from typing import Any
 
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.logger import configure
+from stable_baselines3.common.logger import KVWriter, configure
 from tqdm import tqdm
 
 from pwm_gym.agents.config import AgentConfig
@@ -20,8 +20,9 @@ from pwm_gym.agents.worlds import make_world
 from pwm_gym.collection.scenes import simulated_bank
 from pwm_gym.data import load_demonstrations, underway_bank
 from pwm_gym.dynamics import SceneBank, load_checkpoint, resolve
-from pwm_gym.errors import CheckpointError, PwmGymError
+from pwm_gym.errors import CheckpointError, PwmGymError, is_number
 from pwm_gym.files import replacing, write_atomically
+from pwm_gym.learning import tell_loggers
 from pwm_gym.process import prepare_process
 from pwm_gym.schema import read_json
 from pwm_gym.tasks import Task, get_task
@@ -67,7 +68,9 @@ def train(task: str, out: Path, config: AgentConfig | None = None, progress: boo
         learner = _learner(known, config, world, out)
         if before is None:  # what does not fit has raised by now, and left the folder free
             _claim(out, known, config, spent)
-        learner.set_logger(configure(str(out / "tensorboard"), ["tensorboard"]))
+        curves = configure(str(out / "tensorboard"), ["tensorboard"])
+        curves.output_formats.append(_Loggers(out))
+        learner.set_logger(curves)
         saver = _Saver(learner, known, config, out, spent, progress)
         if (left := config.steps - learner.num_timesteps) > 0 and not saver.late:
             learner.learn(left, callback=saver, reset_num_timesteps=False)
@@ -141,6 +144,20 @@ def _begun(task: Task, config: AgentConfig, kind: Any) -> BaseAlgorithm:
         return kind.load(folder / _STATE, device="cpu")
     except Exception as error:  # of a pickle: whatever it may be
         raise CheckpointError(f"{folder / _STATE} is missing, truncated or foreign ({error})") from error
+
+
+class _Loggers(KVWriter):
+    """Passes what stable-baselines3 logs on to :func:`pwm_gym.learning.logging_to`'s loggers."""
+
+    def __init__(self, out: Path) -> None:
+        self.out = out
+
+    def write(self, key_values: dict[str, Any], key_excluded: dict[str, tuple[str, ...]], step: int = 0) -> None:
+        """Numbers by name."""
+        tell_loggers(self.out, step, {k: float(v) for k, v in key_values.items() if is_number(v)})
+
+    def close(self) -> None:
+        """Nothing is open."""
 
 
 class _Saver(BaseCallback):

@@ -21,6 +21,7 @@ from tqdm import tqdm
 from pwm_gym.errors import CheckpointError, PwmGymError, unknown_name, writing
 from pwm_gym.files import replacing
 from pwm_gym.learning.clock import Clock
+from pwm_gym.learning.loggers import tell_loggers
 from pwm_gym.learning.optimizers import build_optimizer
 
 __all__ = ["Draw", "LoopConfig", "has_state", "is_main_process", "run_training"]
@@ -272,7 +273,7 @@ class _Run:
                 self.ema[name].copy_(value)
 
     def log(self, values: dict[str, float]) -> None:
-        """Append to the TensorBoard curves (the first process alone)."""
+        """Append to the TensorBoard curves, and tell other loggers (the first process alone)."""
         if not self.is_main:
             return
         if self._writer is None:
@@ -281,6 +282,7 @@ class _Run:
             self._writer = SummaryWriter(str(self.folder / "tensorboard"), purge_step=self.step)
         for name, value in values.items():
             self._writer.add_scalar(name, value, self.step)
+        tell_loggers(self.folder, self.step, values)
 
     def checkpoint(
         self, validate: Callable[[Any], dict[str, float]], save: Callable[[nn.Module, dict[str, float]], None]

@@ -19,6 +19,7 @@ from pwm_gym.cli import main
 from pwm_gym.data import load_split
 from pwm_gym.dynamics import load_checkpoint, resolve
 from pwm_gym.errors import CheckpointError, DatasetError, PwmGymError, UnknownNameError
+from pwm_gym.learning import logging_to
 from pwm_gym.policies import PolicyAgent
 from pwm_gym.scene import batch_state
 from pwm_gym.seeds import split_of
@@ -74,6 +75,22 @@ def test_it_learns_and_tells_what_that_took(trained):
         assert list((folder / "tensorboard").glob("events.*"))
         first, *_ = sorted((folder / "snapshots").iterdir())
         assert _far(load_agent(first), load_agent(folder)) > 1e-5
+
+
+def test_who_asks_is_told_the_curves(tmp_path):
+    seen = []
+    with logging_to(lambda folder, step, values: seen.append((folder, step, values))):
+        train("PickCube", tmp_path, replace(SMALL, snapshot_every=0), progress=False)
+    assert {folder for folder, *_ in seen} == {tmp_path}
+    steps = [step for _, step, _ in seen]
+    assert steps == sorted(steps) and 0 < steps[0] < steps[-1] <= SMALL.steps + 128
+    assert all(np.isfinite(value) for _, _, values in seen for value in values.values() if isinstance(value, float))
+    assert "train/value_loss" in seen[-1][2]
+    before = len(seen)
+    train("PickCube", tmp_path / "untold", replace(SMALL, steps=128, snapshot_every=0), progress=False)
+    assert len(seen) == before
+    with pytest.raises(PwmGymError, match="logger 3; expected a function"), logging_to(3):
+        pass
 
 
 def _far(one, other):

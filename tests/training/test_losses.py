@@ -12,6 +12,7 @@ from pwm_gym.data import Windows
 from pwm_gym.data.episodes import KINDS
 from pwm_gym.dynamics import CompactConfig, CompactModel, PaperConfig, PaperModel, build_model, load_checkpoint
 from pwm_gym.errors import CheckpointError, DatasetError, UnknownNameError
+from pwm_gym.learning import logging_to
 from pwm_gym.robots import Arm
 from pwm_gym.tasks import get_task
 from pwm_gym.training import FitConfig, fit
@@ -70,7 +71,11 @@ def test_the_loss_goes_down(windows, tmp_path):
     model.robot.response.hand_weight.zero_()  # which leaves the network something to learn
     batch = windows.sample(torch.Generator().manual_seed(99), 256, 1)
     before = rollout_loss(model, batch, config).item()
-    run(model, windows, config, tmp_path)
+    told = []
+    with logging_to(lambda folder, step, values: told.append((folder, step, values))):
+        run(model, windows, config, tmp_path)
+    assert {folder for folder, *_ in told} == {tmp_path} and told[-1][1] == 150
+    assert any("loss" in name for *_, values in told for name in values)
     after = rollout_loss(model, batch, config).item()
     assert after < 0.7 * before
     assert list((tmp_path / "tensorboard").iterdir())
