@@ -88,10 +88,8 @@ class Import:
         from pwm_gym.data.minari_format import import_minari
 
         task = self.task or None
-        print(
-            "data set:",
-            import_minari(self.id, self.out, task, self.download, True, self.tolerance, self.split_seed),
-        )
+        folder = import_minari(self.id, self.out, task, self.download, True, self.tolerance, self.split_seed)
+        print(f"data set: {folder}")
         self._tell_replay()
 
     def _tell_replay(self) -> None:
@@ -104,9 +102,9 @@ class Import:
         episodes = [episode for split in load_splits(self.out).values() for episode in split.episodes]
         successes = sum(bool(episode.success.any()) for episode in episodes)
         print(
-            f"{len(episodes)} of {replay['recorded']} episodes, {successes} with success; {replay['left_out']} left out"
+            f"{len(episodes)} of {replay['recorded']} episodes, {successes} with success; "
+            f"left out, because their replay strays by more than {replay['tolerance']} m or rad: {replay['left_out']}"
         )
-        print(f"(left out: those whose replay strays by more than {replay['tolerance']} m or rad)")
 
 
 @dataclass(frozen=True)

@@ -94,7 +94,7 @@ def import_adroit(
     environment = ENVIRONMENTS[environment_of(source)]
     _check(source, dataset_id, environment, task, tolerance)
     known = get_task(environment.task)
-    simulator = known.make_simulator()
+    simulator: Any = known.make_simulator()  # a MujocoSimulator of an AdroitWorld
     try:
         episodes = _replayed(source, dataset_id, environment, simulator, tolerance, progress)
         clouds = _clouds(simulator, known)
@@ -107,8 +107,12 @@ def import_adroit(
             f"recorded; expected {len(SPLITS)} or more, one for each split"
         )
     by_split = _draw_splits(kept, split_seed)
-    replay = {"recorded": len(episodes), "left_out": len(episodes) - len(kept)}
-    replay |= {"tolerance": tolerance, "split_seed": split_seed}
+    replay = {
+        "recorded": len(episodes),
+        "left_out": len(episodes) - len(kept),
+        "tolerance": tolerance,
+        "split_seed": split_seed,
+    }
     settings = {"task": known.name, "imported": dataset_id, "replay": replay}
     write_folder(root, by_split, clouds, settings, known.layout)
     return [*by_split]

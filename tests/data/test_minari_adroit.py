@@ -184,10 +184,33 @@ def test_an_episode_that_strays_is_left_out_and_counted(minari_folder, tmp_path,
         file["episode_2/observations"][4, 3] += 0.06  # radians of a joint, at the fourth step
     main(["data", "import", ID, "--out", str(tmp_path / "data")])
     told = capsys.readouterr().out
-    assert f"data set: {tmp_path / 'data'}" in told and "3 of 4 episodes, 0 with success; 1 left out" in told
+    assert f"data set: {tmp_path / 'data'}" in told and "3 of 4 episodes, 0 with success; left out" in told
+    assert "strays by more than 0.05 m or rad: 1" in told
     assert read_header(tmp_path / "data").settings["replay"]["left_out"] == 1
     main(["data", "import", ID, "--out", str(tmp_path / "more"), "--tolerance", "0.07"])
-    assert "4 of 4 episodes, 0 with success; 0 left out" in capsys.readouterr().out
+    assert "4 of 4 episodes, 0 with success" in capsys.readouterr().out
+
+
+def test_replayed_demonstrations_succeed_as_recorded_ones_did(tmp_path, capsys):
+    task, env = get_task("AdroitHandDoor"), make_environment("AdroitHandDoor-v1")
+    simulator, buffers = task.make_simulator(), []
+    for k in range(3):
+        simulator.reset(k)
+        expert, done = task.expert(np.random.default_rng(k)), False
+        observations, actions = [env.reset(seed=k)[0]], []
+        while not done:
+            actions.append(expert.act(simulator.poses(), simulator.goal()))
+            done = simulator.step(actions[-1]).success
+            observations.append(env.step(actions[-1])[0])
+        buffers.append(buffer(k, np.array(observations), np.array(actions, np.float32)))
+    simulator.close()
+    env.close()
+    store("AdroitHandDoor-v1", buffers)
+    main(["data", "import", ID, "--out", str(tmp_path / "data")])
+    assert "3 of 3 episodes, 3 with success" in capsys.readouterr().out
+    episodes = imported(tmp_path / "data")
+    assert all(episode.success[-1] and episode.success.sum() == 1 for episode in episodes)
+    assert len({episode.seed for episode in episodes}) == 3
 
 
 def test_the_draw_of_the_splits_is_seeded(tmp_path):
