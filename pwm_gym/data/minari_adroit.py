@@ -11,7 +11,7 @@ option ``initial_state_dict``, which Minari keeps in an episode's metadata.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -25,6 +25,7 @@ from pwm_gym.errors import DatasetError, PwmGymError
 from pwm_gym.files import check_finite
 from pwm_gym.scene import sample_clouds
 from pwm_gym.seeds import RANGES
+from pwm_gym.sim import SimOutcome
 from pwm_gym.sim.mujoco.adapter import MujocoSimulator
 from pwm_gym.sim.mujoco.adroit import AdroitWorld
 from pwm_gym.sim.mujoco.adroit_starts import JointState, start_door, start_relocate
@@ -96,17 +97,12 @@ def import_adroit(
     known = get_task(environment.task)
     simulator: Any = known.make_simulator()  # a MujocoSimulator of an AdroitWorld
     try:
-        episodes = _replayed(source, dataset_id, environment, simulator, tolerance, progress)
+        episodes = _replayed(source, dataset_id, _Replay(environment, simulator, tolerance), progress)
         clouds = _clouds(simulator, known)
     finally:
         simulator.close()
     kept = [episode for episode in episodes if episode is not None]
-    if len(kept) < len(SPLITS):
-        raise DatasetError(
-            f"{dataset_id!r}: {len(kept)} of {len(episodes)} episodes replay within {tolerance} m and rad of what was "
-            f"recorded; expected {len(SPLITS)} or more, one for each split"
-        )
-    by_split = _draw_splits(kept, split_seed)
+    _check_enough(kept, len(episodes), dataset_id, tolerance)
     replay = {
         "recorded": len(episodes),
         "left_out": len(episodes) - len(kept),
@@ -114,8 +110,18 @@ def import_adroit(
         "split_seed": split_seed,
     }
     settings = {"task": known.name, "imported": dataset_id, "replay": replay}
+    by_split = _draw_splits(kept, split_seed)
     write_folder(root, by_split, clouds, settings, known.layout)
     return [*by_split]
+
+
+def _check_enough(kept: Sequence[Episode], recorded: int, dataset_id: str, tolerance: float) -> None:
+    """Raise :class:`DatasetError` where not every split would have an episode."""
+    if len(kept) < len(SPLITS):
+        raise DatasetError(
+            f"{dataset_id!r}: {len(kept)} of {recorded} episodes replay within {tolerance} m and rad of what was "
+            f"recorded; expected {len(SPLITS)} or more, one for each split"
+        )
 
 
 def _check(source: Any, dataset_id: str, environment: _Environment, task: str | None, tolerance: float) -> None:
@@ -140,7 +146,7 @@ def _clouds(simulator: MujocoSimulator, task: Task) -> dict[str, np.ndarray]:
     return {name: points[entity.slice] for name, entity in zip(simulator.assets(), task.layout, strict=True)}
 
 
-def _draw_splits(episodes: list[Episode], seed: int) -> dict[str, list[Episode]]:
+def _draw_splits(episodes: Sequence[Episode], seed: int) -> dict[str, list[Episode]]:
     """Split -> its episodes: a tenth each for validation and test, at least one.
 
     Their seeds, by which data sets tell episodes apart, are the last ones of their split.
@@ -155,14 +161,7 @@ def _draw_splits(episodes: list[Episode], seed: int) -> dict[str, list[Episode]]
     return by_split
 
 
-def _replayed(
-    source: Any,
-    dataset_id: str,
-    environment: _Environment,
-    simulator: MujocoSimulator,
-    tolerance: float,
-    progress: bool,
-) -> list[Episode | None]:
+def _replayed(source: Any, dataset_id: str, replay: _Replay, progress: bool) -> list[Episode | None]:
     """Each recorded episode; None where its replay strays."""
     from tqdm import tqdm
 
@@ -170,10 +169,10 @@ def _replayed(
     rows = read_episodes(source, dataset_id)
     for data in tqdm(rows, total=source.total_episodes, unit="episode", disable=not progress):
         try:
-            recorded = _recorded(data, _metadata(source, data.id), simulator)
-        except (KeyError, TypeError, ValueError) as error:
+            recorded = _recorded(data, _metadata(source, data.id), replay.simulator)
+        except (IndexError, KeyError, TypeError, ValueError) as error:
             raise DatasetError(f"{dataset_id!r}, episode {data.id}: {error}") from error
-        found.append(_replay(recorded, environment, simulator, tolerance))
+        found.append(replay(recorded))
     return found
 
 
@@ -228,13 +227,17 @@ def _start(infos: Mapping[str, Any], metadata: Mapping[str, Any], simulator: Muj
         DatasetError: positions or velocities are missing, or not those of the model.
     """
     reset_to = (metadata.get("options") or {}).get("initial_state_dict") or {}
-    per_step = [infos.get("state") or {}, infos]
-    told = [reset_to, *({name: state[name][0] for name in ("qpos", "qvel") if name in state} for state in per_step)]
+    told = [reset_to, _first(infos.get("state") or {}), _first(infos)]
     state = next((state for state in told if "qpos" in state or "qvel" in state), None)
     if state is None:
         return None
     model = simulator.model
     return JointState(_joint_values(state, "qpos", model.nq), _joint_values(state, "qvel", model.nv))
+
+
+def _first(per_step: Mapping[str, Any]) -> dict[str, Any]:
+    """Joints in the first row of what is told at every step."""
+    return {name: per_step[name][0] for name in ("qpos", "qvel") if name in per_step}
 
 
 def _joint_values(state: Mapping[str, Any], name: str, size: int) -> np.ndarray:
@@ -251,39 +254,60 @@ def _joint_values(state: Mapping[str, Any], name: str, size: int) -> np.ndarray:
 # What comes of it -------------------------------------------------------------------------------------------------
 
 
-def _replay(
-    recorded: _Recorded, environment: _Environment, simulator: MujocoSimulator, tolerance: float
-) -> Episode | None:
-    """The episode in the task's own simulator; None where it strays from what was recorded."""
-    world: Any = simulator.world
-    environment.start(world, recorded.observations[0], recorded.start)
-    goal = simulator.goal()
-    poses, joints, outcomes = [simulator.poses()], [simulator.joints()], []
+@dataclass(frozen=True)
+class _Replay:
+    """Runs recorded episodes in the task's own simulator."""
 
-    def strays(step: int) -> bool:
-        difference = world.observation - recorded.observations[step]
-        return bool(np.abs(difference[: environment.continuous]).max() > tolerance)
+    environment: _Environment
+    simulator: MujocoSimulator
+    tolerance: float
 
-    if strays(0):
-        return None
-    for step, action in enumerate(recorded.actions):
-        try:
-            outcomes.append(simulator.step(action))
-        except PwmGymError:  # it diverged
+    @property
+    def _world(self) -> Any:
+        return self.simulator.world
+
+    def __call__(self, recorded: _Recorded) -> Episode | None:
+        """The episode; None where it strays from what was recorded."""
+        simulator = self.simulator
+        self.environment.start(self._world, recorded.observations[0], recorded.start)
+        if self._strays(recorded.observations[0]):
             return None
-        if strays(step + 1):
-            return None
-        poses.append(simulator.poses())
-        joints.append(simulator.joints())
-    return Episode(
-        poses=np.asarray(poses, np.float32),
-        joints=np.asarray(joints, np.float32),
-        actions=recorded.actions,
-        rewards=np.array([outcome.reward for outcome in outcomes], np.float32),
-        success=np.array([outcome.success for outcome in outcomes]),
-        grasped=np.array([outcome.grasped for outcome in outcomes]),
-        goal=goal,
-        kind=KINDS.index("expert"),
-        seed=0,
-        assets=simulator.assets(),
-    )
+        goal = simulator.goal()
+        poses, joints, outcomes = [simulator.poses()], [simulator.joints()], []
+        for action, observation in zip(recorded.actions, recorded.observations[1:], strict=True):
+            try:
+                outcomes.append(simulator.step(action))
+            except PwmGymError:  # it diverged
+                return None
+            if self._strays(observation):
+                return None
+            poses.append(simulator.poses())
+            joints.append(simulator.joints())
+        return self._episode(recorded, goal, poses, joints, outcomes)
+
+    def _strays(self, observation: np.ndarray) -> bool:
+        """Whether the environment shows something else than an observation (39,)."""
+        difference = np.abs(self._world.observation - observation)
+        return bool(difference[: self.environment.continuous].max() > self.tolerance)
+
+    def _episode(
+        self,
+        recorded: _Recorded,
+        goal: np.ndarray,
+        poses: list[np.ndarray],
+        joints: list[np.ndarray],
+        outcomes: list[SimOutcome],
+    ) -> Episode:
+        """What the simulator showed, as an expert's episode."""
+        return Episode(
+            poses=np.asarray(poses, np.float32),
+            joints=np.asarray(joints, np.float32),
+            actions=recorded.actions,
+            rewards=np.array([outcome.reward for outcome in outcomes], np.float32),
+            success=np.array([outcome.success for outcome in outcomes]),
+            grasped=np.array([outcome.grasped for outcome in outcomes]),
+            goal=goal,
+            kind=KINDS.index("expert"),
+            seed=0,  # given with its split
+            assets=self.simulator.assets(),
+        )
