@@ -64,7 +64,11 @@ class Export:
 
 @dataclass(frozen=True)
 class Import:
-    """Write a Minari data set that was exported here or elsewhere into a folder that ``pwm-gym train`` accepts."""
+    """Write a Minari data set into a folder that ``pwm-gym train`` accepts.
+
+    It was exported here or elsewhere, or holds demonstrations of Gymnasium-Robotics' Adroit environments, such as
+    ``D4RL/door/human-v2``. Those are replayed in the task's own simulator.
+    """
 
     id: Annotated[str, tyro.conf.Positional]
     """Minari's name of the data set."""
@@ -74,12 +78,33 @@ class Import:
     """Task that the data must be of; any where it is not given."""
     download: bool = False
     """Fetch it from Minari's remote where it is not on this machine."""
+    tolerance: float = 0.05
+    """Of demonstrations: metres and radians by which a replay may stray from its recording, or else is left out."""
+    split_seed: int = 0
+    """Of demonstrations: seed of the draw that parts them into training, validation and test."""
 
     def run(self) -> None:
         """Write it, and print where it is."""
         from pwm_gym.data.minari_format import import_minari
 
-        print(f"data set: {import_minari(self.id, self.out, self.task or None, self.download, progress=True)}")
+        task = self.task or None
+        folder = import_minari(self.id, self.out, task, self.download, True, self.tolerance, self.split_seed)
+        print(f"data set: {folder}")
+        self._tell_replay()
+
+    def _tell_replay(self) -> None:
+        """Print how many demonstrations were left out, and how many of the others succeed."""
+        from pwm_gym.data.dataset import load_splits, read_header
+
+        replay = read_header(self.out).settings.get("replay")
+        if replay is None:
+            return
+        episodes = [episode for split in load_splits(self.out).values() for episode in split.episodes]
+        successes = sum(bool(episode.success.any()) for episode in episodes)
+        print(
+            f"{len(episodes)} of {replay['recorded']} episodes, {successes} with success; "
+            f"left out, because their replay strays by more than {replay['tolerance']} m or rad: {replay['left_out']}"
+        )
 
 
 @dataclass(frozen=True)

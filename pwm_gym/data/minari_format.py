@@ -8,10 +8,9 @@ lies in one file beside its own, so that an import gives back the data set that 
 from __future__ import annotations
 
 import copy
-import json
 import shutil
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,12 +18,12 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from pwm_gym.data.dataset import ASSET, SPLITS, Dataset, load_split, load_splits, read_header, save_asset
-from pwm_gym.data.dataset import FORMAT as DATASET
-from pwm_gym.data.episodes import FORMAT as EPISODES
-from pwm_gym.data.episodes import KINDS, Episode, write_shard
+from pwm_gym.data.dataset import ASSET, SPLITS, Dataset, load_split, load_splits, read_header
+from pwm_gym.data.episodes import KINDS, Episode
+from pwm_gym.data.minari_adroit import ENVIRONMENTS, TOLERANCE, environment_of, import_adroit
+from pwm_gym.data.minari_store import load_source, place_of, read_episodes, write_folder
 from pwm_gym.errors import DatasetError
-from pwm_gym.files import load_arrays, new_folder, save_arrays, write_atomically
+from pwm_gym.files import load_arrays, new_folder, save_arrays
 from pwm_gym.scene import SCHEMA, Layout
 from pwm_gym.tasks import get_task
 
@@ -35,7 +34,6 @@ SIDE_FILE = "pwm_gym.npz"
 """Name of the file beside Minari's own."""
 
 _SPAN = 1e3  # Minari wants bounded spaces; nothing in a scene comes near
-_SHARD = 100  # episodes a file of an imported data set
 _OBSERVATIONS = ("poses", "joints", "goal")
 _INFOS = ("success", "grasped", "kind", "seed", "switch", "split", "assets")
 _OWN = -1  # combination of an episode that names no assets: those of the layout
@@ -75,7 +73,7 @@ def export_minari(folder: Path | str, dataset_id: str, splits: Sequence[str] = (
     """
     header = read_header(Path(folder))
     sources = load_splits(Path(folder), splits, kinds)
-    place = _place(dataset_id)
+    place = place_of(dataset_id)
     if place.exists():
         raise DatasetError(f"Minari has a data set {dataset_id!r} already ({place}); expected a new name or version")
     try:
@@ -87,23 +85,6 @@ def export_minari(folder: Path | str, dataset_id: str, splits: Sequence[str] = (
     import minari
 
     return minari.load_dataset(dataset_id)
-
-
-def _place(dataset_id: str) -> Path:
-    """Folder in which Minari stores a data set of this name.
-
-    Raises:
-        DatasetError: the name is not of Minari's form.
-    """
-    from minari.dataset.minari_dataset import parse_dataset_id
-    from minari.storage.datasets_root_dir import get_dataset_path
-
-    try:
-        parse_dataset_id(dataset_id)
-    except (TypeError, ValueError) as error:
-        told = f"{dataset_id!r} is no name of a Minari data set; expected one such as 'pwm/PickCube/collected-v0'"
-        raise DatasetError(told) from error
-    return Path(get_dataset_path(dataset_id))
 
 
 def _write(sources: Mapping[str, Dataset], dataset_id: str, settings: Mapping[str, Any]) -> None:
@@ -189,9 +170,18 @@ def _write_side_file(path: Path, sources: Mapping[str, Dataset], settings: Mappi
 
 
 def import_minari(
-    dataset_id: str, folder: Path | str, task: str | None = None, download: bool = False, progress: bool = False
+    dataset_id: str,
+    folder: Path | str,
+    task: str | None = None,
+    download: bool = False,
+    progress: bool = False,
+    tolerance: float = TOLERANCE,
+    split_seed: int = 0,
 ) -> Path:
-    """Write the episodes of a Minari data set that :func:`export_minari` made into a folder that training accepts.
+    """Write the episodes of a Minari data set into a folder that training accepts.
+
+    It is one that :func:`export_minari` made, or demonstrations of one of Gymnasium-Robotics' Adroit environments
+    (:func:`~pwm_gym.data.minari_adroit.import_adroit`).
 
     Args:
         dataset_id: Minari's name.
@@ -199,43 +189,41 @@ def import_minari(
         task: registered task that the data must be of; None takes what it is of.
         download: whether to fetch it from Minari's remote where it is not on this machine.
         progress: whether to show a bar.
+        tolerance: of demonstrations: metres and radians by which a replay may stray from its recording.
+        split_seed: of demonstrations: of the draw that parts them into training, validation and test.
 
     Raises:
         DatasetError: it is not there, foreign, damaged, of another task, schema or action size, or ``folder`` is taken.
     """
     with new_folder(Path(folder), DatasetError) as root:
-        source = _load(dataset_id, download)
-        clouds, header = _read_side_file(_place(dataset_id) / "data" / SIDE_FILE, dataset_id)
-        layout = _check(source, dataset_id, header, task)
-        by_split = _episodes(source, dataset_id, layout, header, progress)
-        _write_folder(root, by_split, clouds, {**header.settings, "imported": dataset_id}, layout)
-        for split in by_split:
+        source = load_source(dataset_id, download)
+        if environment_of(source) in ENVIRONMENTS:
+            splits = import_adroit(source, dataset_id, root, task, tolerance, split_seed, progress)
+        else:
+            splits = _import_exported(source, dataset_id, root, task, progress)
+        for split in splits:
             load_split(root, split)  # what does not fit is found here, not in a training
     return Path(folder)
 
 
-def _load(dataset_id: str, download: bool) -> Any:
-    """The Minari data set.
-
-    Raises:
-        DatasetError: Minari does not have it, or cannot read it.
-    """
-    import minari
-
-    place = _place(dataset_id)
-    if not download and not (place / "data").is_dir():
-        known = ", ".join(minari.list_local_datasets()) or "none"
-        raise DatasetError(f"Minari has no data set {dataset_id!r} on this machine ({place}); it has {known}")
-    try:
-        return minari.load_dataset(dataset_id, download=download)
-    except Exception as error:  # h5py's, JSON's, the network's: all about this one data set
-        raise DatasetError(f"Minari cannot read {dataset_id!r} ({error})") from error
+def _import_exported(source: Any, dataset_id: str, root: Path, task: str | None, progress: bool) -> list[str]:
+    """Write a data set that was exported into ``root``, and tell its splits."""
+    path = place_of(dataset_id) / "data" / SIDE_FILE
+    if not path.exists():
+        environment = environment_of(source) or "no environment"
+        raise DatasetError(
+            f"{dataset_id!r} has no {SIDE_FILE} and is of {environment}; expected a data set that "
+            f"`pwm-gym data export` wrote, or one of {' or '.join(ENVIRONMENTS)}"
+        )
+    clouds, header = _read_side_file(path, dataset_id)
+    layout = _check(source, dataset_id, header, task)
+    by_split = _episodes(source, dataset_id, layout, header, progress)
+    write_folder(root, by_split, clouds, {**header.settings, "imported": dataset_id}, layout)
+    return [*by_split]
 
 
 def _read_side_file(path: Path, dataset_id: str) -> tuple[dict[str, np.ndarray], _Header]:
     """Canonical points of each asset, and the header."""
-    if not path.exists():
-        raise DatasetError(f"{dataset_id!r} has no {SIDE_FILE}; expected a data set that `pwm-gym data export` wrote")
     arrays, header = load_arrays(path, "is truncated or foreign; export again", DatasetError, FORMAT, _Header)
     if header.schema > SCHEMA:
         raise DatasetError(f"{dataset_id!r} has schema {header.schema}; this version reads up to {SCHEMA}")
@@ -272,7 +260,7 @@ def _episodes(
     from tqdm import tqdm
 
     by_split: dict[str, list[Episode]] = {}
-    rows = _read(source, dataset_id)
+    rows = read_episodes(source, dataset_id)
     for data in tqdm(rows, total=source.total_episodes, unit="episode", disable=not progress):
         try:
             split, episode = _episode(data, header.combinations)
@@ -283,18 +271,6 @@ def _episodes(
             raise DatasetError(f"{dataset_id!r}, episode {data.id}: poses {shape}; expected {len(layout)} entities")
         by_split.setdefault(split, []).append(episode)
     return by_split
-
-
-def _read(source: Any, dataset_id: str) -> Iterator[Any]:
-    """Episodes in Minari's form.
-
-    Raises:
-        DatasetError: one cannot be read.
-    """
-    try:
-        yield from source.iterate_episodes()
-    except (OSError, KeyError, ValueError, AssertionError) as error:
-        raise DatasetError(f"Minari cannot read {dataset_id!r} ({error})") from error
 
 
 def _episode(data: Any, combinations: Sequence[tuple[str, ...]]) -> tuple[str, Episode]:
@@ -326,23 +302,3 @@ def _one(infos: Mapping[str, Any], name: str, known: range) -> int:
     if value not in known:
         raise DatasetError(f"{name} {value}; expected {known.start} to {known.stop - 1}")
     return value
-
-
-def _write_folder(
-    folder: Path,
-    by_split: Mapping[str, Sequence[Episode]],
-    clouds: Mapping[str, np.ndarray],
-    settings: Mapping[str, Any],
-    layout: Layout,
-) -> None:
-    """Write a data set's folder as collection does."""
-    for name, points in clouds.items():
-        save_asset(folder, name, points)
-    shard = {"format": EPISODES, "schema": SCHEMA, "task": settings["task"]}
-    for split, episodes in by_split.items():
-        for start in range(0, len(episodes), _SHARD):
-            path = folder / f"{split}-imported-{start // _SHARD:05d}.npz"
-            write_shard(path, episodes[start : start + _SHARD], shard)
-    header = {"format": DATASET, "schema": SCHEMA, "settings": settings}
-    header |= {"layout": layout.to_json(), "kinds": list(KINDS)}
-    write_atomically(folder / "dataset.json", json.dumps(header).encode())

@@ -40,10 +40,25 @@ class AdroitWorld:
         self._target = None if target is None else self.model.site(target)
         self.reward = 0.0
         """The environment's own reward of the last step."""
+        self.observation = np.zeros(self.env.observation_space.shape)
+        """What the environment showed (39,) when it was reset or stepped last. After a step its sites lag by 2 ms."""
 
     def reset(self, seed: int) -> None:
         """Start the environment's episode of ``seed``."""
-        self.env.reset(seed=int(seed))
+        self.observation = self.env.reset(seed=int(seed))[0]
+
+    def show(self, positions: np.ndarray, velocities: np.ndarray, **places: np.ndarray) -> None:
+        """Go to a state of the environment, and observe it.
+
+        Args:
+            positions: of all joints (nq,), radians and metres.
+            velocities: of all joints (nv,), these a second.
+            places: what the environment's state names besides (3,), metres: ``door_body_pos``; ``obj_pos``, where the
+                ball is when its joints are at 0, and ``target_pos``.
+        """
+        self.clear()
+        self.env.set_env_state({"qpos": positions, "qvel": velocities, **places})
+        self.observation = self.env._get_obs()
 
     def clear(self) -> None:
         """Go to the initial positions."""
@@ -54,7 +69,8 @@ class AdroitWorld:
 
     def step(self, action: np.ndarray) -> None:
         """The environment's own step."""
-        self.reward = float(self.env.step(action)[1])
+        self.observation, reward, *_ = self.env.step(action)
+        self.reward = float(reward)
 
     def drive(self, action: np.ndarray) -> None:
         """Set the actuators' controls as the environment's step does for an action (A,)."""
