@@ -201,6 +201,33 @@ def test_articulated_bodies_are_restored_by_their_poses():
     np.testing.assert_allclose(other.data.qvel[1:], simulator.data.qvel[1:], rtol=0.25, atol=0.02)
 
 
+CHEST = """
+    <body name="chest" pos="0 0.3 0.5">
+      <freejoint/>
+      <geom type="box" size="0.05 0.05 0.05" mass="0.5"/>
+      <body name="lid" pos="-0.05 0 0.06">
+        <joint name="lid" type="hinge" axis="0 1 0" damping="0.002"/>
+        <geom type="box" size="0.05 0.05 0.005" pos="0.05 0 0" mass="0.05"/>
+      </body>
+    </body>"""
+
+
+def test_what_hangs_on_a_free_body_is_restored_where_that_body_is():
+    """The chest flies and turns, and its lid swings."""
+    simulator, other = (make(xml(CHEST), "pusher", "chest", "lid") for _ in range(2))
+    simulator.reset(0)
+    simulator.data.qpos[1:4] = [0.4, 0.5, 0.8]
+    simulator.data.qpos[4:8] = Rotation.from_rotvec([0.0, 0.3, 0.8]).as_quat(scalar_first=True)
+    simulator.data.qpos[8] = -0.8
+    simulator.data.qvel[1:] = [0.3, 0.1, 0.5, 0.0, 0.2, 1.0, -1.0]
+    poses = run(simulator, np.zeros((4, 1)))
+    assert np.abs(poses[-1, 1:] - poses[-2, 1:]).max() > 0.01
+    other.restore(scene_of(simulator, poses[-3:][::-1]))
+    np.testing.assert_allclose(other.data.qpos, simulator.data.qpos, atol=1e-6)
+    np.testing.assert_allclose(other.poses(), poses[-1], atol=1e-6)
+    assert other.data.qvel[7] == pytest.approx(simulator.data.qvel[7], abs=0.05)
+
+
 def test_an_articulated_body_beyond_its_limits_or_off_its_joint_is_refused():
     names = ("pusher", "drawer")
     simulator = make(xml(CABINET), *names)

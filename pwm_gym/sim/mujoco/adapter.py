@@ -224,10 +224,9 @@ class MujocoSimulator:
         for name in self._placed:
             row = [*self._bodies].index(name)
             self.model.body_pos[self._ids[row]], self.model.body_quat[self._ids[row]] = np.split(poses[0, row], [3])
-        self._set_robot(joints)
-        self._set_articulated(poses)
-        for name, joint in self._free.items():
-            self._set_free(joint, poses[:, [*self._bodies].index(name)])
+        self._set_articulated(joints, poses)
+        self._set_positions(joints[0], poses[0])
+        self._set_velocities(joints[1], poses)
         place_mocaps(self.model, self.data)
         self.world.set_goal(self._outward(np.asarray(scene.goal, float)))
         self._forward()
@@ -244,27 +243,35 @@ class MujocoSimulator:
             )
         return np.asarray(scene.joints, float)
 
-    def _set_robot(self, joints: np.ndarray) -> None:
-        """Joint positions and velocities a step (2, J)."""
-        self.data.qpos[self.model.jnt_qposadr[self._robot]] = joints[0]
-        self.data.qvel[self.model.jnt_dofadr[self._robot]] = joints[1] / self.world.period
+    def _set_positions(self, joints: np.ndarray, poses: np.ndarray) -> None:
+        """Put the robot at joint positions (J,), and free bodies at their poses, of all (E, 7) in the world."""
+        self.data.qpos[self.model.jnt_qposadr[self._robot]] = joints
+        for name, joint in self._free.items():
+            address = int(self.model.jnt_qposadr[joint])
+            self.data.qpos[address : address + 7] = poses[[*self._bodies].index(name)]
 
-    def _set_articulated(self, poses: np.ndarray) -> None:
-        """Place articulated entities by poses (3, E, 7) in the world, with the velocities that these tell."""
+    def _set_velocities(self, joints: np.ndarray, poses: np.ndarray) -> None:
+        """Give the robot joint velocities (J,) a step, and free bodies those that poses (3, E, 7) tell."""
+        self.data.qvel[self.model.jnt_dofadr[self._robot]] = joints / self.world.period
+        for name, joint in self._free.items():
+            own = poses[:, [*self._bodies].index(name)]
+            set_free_velocity(self.data, int(self.model.jnt_dofadr[joint]), own, 1.0 / self.world.period)
+
+    def _set_articulated(self, joints: np.ndarray, poses: np.ndarray) -> None:
+        """Place articulated entities by poses (3, E, 7) in the world, with the velocities that these tell.
+
+        They may hang on free bodies, so that these and the robot, with joints (2, J), go first where they were.
+        """
         if not self._articulated:
             return
         own = [[*self._bodies].index(name) for name in self._articulated]
+        self._set_positions(joints[0] - joints[1], poses[1])
         self._solver.solve(self.data, poses[1, own])
         before = self.data.qpos.copy()
+        self._set_positions(joints[0], poses[0])
         self._solver.solve(self.data, poses[0, own])
         velocities = self._solver.velocities(self.data, before, 1.0 / self.world.period)
         self.data.qvel[self._solver.dofs] = velocities
-
-    def _set_free(self, joint: int, poses: np.ndarray) -> None:
-        """Pose and velocity of a free body of its poses (3, 7) in the world."""
-        address = int(self.model.jnt_qposadr[joint])
-        self.data.qpos[address : address + 7] = poses[0]
-        set_free_velocity(self.data, int(self.model.jnt_dofadr[joint]), poses, 1.0 / self.world.period)
 
     def place(self, name: str, pose: np.ndarray) -> None:
         """Put a free body at rest at a pose (7,) in the base's frame.
@@ -277,12 +284,19 @@ class MujocoSimulator:
             raise unknown_name("entity", name, self._bodies)
         place = compose(self._base, pose)
         if name in self._free:
-            self._set_free(self._free[name], np.stack([place] * 3))
+            self._rest(self._free[name], place)
         elif name in self._articulated:
             self._hang(name, place)
         else:
             raise SceneError(f"{name!r} is no free body; only free bodies can be placed")
         self._forward()
+
+    def _rest(self, joint: int, pose: np.ndarray) -> None:
+        """Put the body of a free joint at a pose (7,) in the world, at rest."""
+        position = int(self.model.jnt_qposadr[joint])
+        velocity = int(self.model.jnt_dofadr[joint])
+        self.data.qpos[position : position + 7] = pose
+        self.data.qvel[velocity : velocity + 6] = 0.0
 
     def _hang(self, name: str, pose: np.ndarray) -> None:
         """Bring an articulated body to a pose (7,) in the world, at rest, with all others where they are."""
