@@ -257,6 +257,38 @@ def test_a_loop_that_a_connection_closes_stays_closed():
     np.testing.assert_allclose(run(other, np.zeros((5, 1)))[-1], run(simulator, np.zeros((5, 1)))[-1], atol=5e-3)
 
 
+CRANKED = '<actuator><position joint="a" kp="2" ctrlrange="-0.6 0.6"/></actuator>'
+SLIDES = """
+    <joint name="c" type="slide" axis="1 0 0" damping="0.02"/><joint type="slide" axis="0 0 1" damping="0.02"/>"""
+
+
+@pytest.mark.parametrize(
+    ("bars", "equality"),
+    [
+        (FOUR_BAR, CONNECT),
+        (
+            FOUR_BAR.replace('<joint name="c" type="hinge" axis="0 1 0" damping="0.02"/>', SLIDES),
+            '<equality><weld body1="rod" body2="rocker" solref="0.004 1"/></equality>',
+        ),
+    ],
+    ids=["connect", "weld"],
+)
+def test_a_robots_loop_stays_closed_though_its_other_side_is_no_entity(bars, equality):
+    simulator, other = (make(xml(bars, equality, CRANKED), "crank") for _ in range(2))
+    simulator.reset(0)
+    poses = run(simulator, np.full((8, 1), 0.8))
+    rocker = simulator.data.body("rocker").xpos
+    joint = simulator.model.joint("c").qposadr[0]
+    assert abs(simulator.data.qpos[joint]) > 0.02
+    other.restore(scene_of(simulator, poses[-3:][::-1]))
+    np.testing.assert_allclose(other.data.body("rocker").xpos, rocker, atol=2e-3)
+    np.testing.assert_allclose(other.data.qpos[joint], simulator.data.qpos[joint], atol=2e-3)
+    np.testing.assert_allclose(other.data.qvel, simulator.data.qvel, atol=0.1)
+    np.testing.assert_allclose(
+        run(other, np.full((5, 1), 0.8))[-1], run(simulator, np.full((5, 1), 0.8))[-1], atol=2e-3
+    )
+
+
 def test_a_mocap_body_goes_where_the_weld_to_its_link_is_satisfied():
     simulator = MujocoSimulator.from_xml(
         xml(HAND, WELD, ""),

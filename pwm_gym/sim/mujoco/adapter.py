@@ -260,9 +260,10 @@ class MujocoSimulator:
     def _set_articulated(self, joints: np.ndarray, poses: np.ndarray) -> None:
         """Place articulated entities by poses (3, E, 7) in the world, with the velocities that these tell.
 
-        They may hang on free bodies, so that these and the robot, with joints (2, J), go first where they were.
+        They may hang on free bodies, so that these and the robot, with joints (2, J), go first where they were. Joints
+        that move no entity are solved for, too: a loop may bind them to the robot.
         """
-        if not self._articulated:
+        if not len(self._solver.dofs):
             return
         own = [[*self._bodies].index(name) for name in self._articulated]
         self._set_positions(joints[0] - joints[1], poses[1])
