@@ -140,6 +140,35 @@ def test_what_a_model_does_not_tell_has_to_be_said():
         layout_of(make(names=(*LINKS, "box", "door")))
 
 
+MOVING = {
+    "free": '<body name="loose" pos="0 0 3"><freejoint/><geom name="skin" size="0.05"/></body>',
+    "pendulum": '<body name="loose" pos="0 0 3"><joint/><geom name="skin" size="0.05"/></body>',
+    "on a fixed body": """
+        <body pos="0 2 3"><body name="loose"><joint/><geom name="skin" size="0.05"/></body></body>""",
+    "mocap": '<body name="loose" pos="0 0 3" mocap="true"><geom name="skin" type="box" size="0.1 0.1 0.1"/></body>',
+    "height field": """
+        <body name="loose" pos="0 0 3"><freejoint/><inertial mass="1" pos="0 0 0" diaginertia="1 1 1"/>
+        <geom name="skin" type="hfield" hfield="hills"/></body>""",
+}
+
+
+@pytest.mark.parametrize("body", MOVING.values(), ids=MOVING)
+def test_what_moves_and_can_be_touched_has_to_be_an_entity(body):
+    text = ROOM.replace("<worldbody>", f"<asset>{HILLS}</asset><worldbody>{body}")
+    with pytest.raises(PwmGymError, match="geom 'skin' of body 'loose' can be touched and moves.*among the entities"):
+        layout_of(make(text))
+    layout_of(make(text.replace('name="skin"', 'name="skin" contype="0" conaffinity="0"')))
+
+
+def test_a_cable_has_to_be_entities():
+    cable = """
+        <composite prefix="rope" type="cable" curve="s" count="4 1 1" size="0.5" offset="0 0 3">
+          <joint kind="main" damping="0.01"/><geom type="capsule" size="0.01"/>
+        </composite>"""
+    with pytest.raises(PwmGymError, match="of body 'ropeB_first' can be touched and moves"):
+        layout_of(make(ROOM.replace("<worldbody>", f"<worldbody>{cable}")))
+
+
 BODY = '<body name="thing" pos="0 0 1"><freejoint/>{geom}<site name="eye"/></body>'
 BALL = '<geom size="0.05"/>'
 

@@ -141,6 +141,8 @@ class MujocoSimulator:
         roots = driven_roots(model) if robot is None else {self._find(robot)}
         owned = {k for k in range(model.nbody) if roots & {*ancestors(model, k)}}
         mine = np.array([model.jnt_bodyid[k] in owned for k in range(model.njnt)], bool)
+        self.robot_bodies = frozenset(owned)
+        """MuJoCo's numbers of the bodies that are the robot, whether or not they are entities."""
         self._links = {name for name, k in zip(self._bodies, self._ids, strict=True) if int(k) in owned}
         self._robot = scalar_joints(model, np.flatnonzero(mine))
         free = np.flatnonzero(~mine & (model.jnt_type == joint_type("FREE")))

@@ -10,7 +10,17 @@ import numpy as np
 
 from pwm_gym.errors import PwmGymError
 
-__all__ = ["Hanging", "ancestors", "check_supported", "driven_roots", "hanging", "joint_type", "scalar_joints"]
+__all__ = [
+    "Hanging",
+    "ancestors",
+    "check_supported",
+    "driven_roots",
+    "hanging",
+    "joint_type",
+    "label",
+    "moves",
+    "scalar_joints",
+]
 
 _MOST_BODIES = 200
 _ON_AXIS = 1e-9  # metres
@@ -72,6 +82,16 @@ def scalar_joints(model: Any, joints: np.ndarray) -> np.ndarray:
                 "actuators drive"
             )
     return joints
+
+
+def label(element: Any) -> str:
+    """What errors call an element of a model, such as ``model.body(3)``: its name, or else its number."""
+    return repr(element.name or f"number {element.id}")
+
+
+def moves(model: Any, body: int) -> bool:
+    """Whether a body is not fixed to the world: it hangs on joints, or a mocap body takes it along."""
+    return bool(model.body_weldid[body] or model.body_mocapid[model.body_rootid[body]] >= 0)
 
 
 def ancestors(model: Any, body: int) -> list[int]:
