@@ -14,15 +14,10 @@ from pwm_gym.robots.control import Control
 from pwm_gym.scene import Scene
 from pwm_gym.scene.poses import compose, relative, rotation
 from pwm_gym.sim.mujoco.meshes import body_mesh, welded
-from pwm_gym.sim.mujoco.restore import JointSolver, place_mocaps, set_free_velocity
-from pwm_gym.sim.mujoco.structure import (
-    ancestors,
-    check_supported,
-    driven_roots,
-    hanging,
-    joint_type,
-    scalar_joints,
-)
+from pwm_gym.sim.mujoco.mocap import place_mocaps
+from pwm_gym.sim.mujoco.parts import sort_parts
+from pwm_gym.sim.mujoco.restore import JointSolver, set_free_velocity
+from pwm_gym.sim.mujoco.structure import check_supported, hanging
 from pwm_gym.sim.mujoco.worlds import World, XmlWorld
 from pwm_gym.sim.protocol import SimOutcome
 
@@ -39,7 +34,8 @@ class MujocoSimulator:
     """A MuJoCo model, one environment, physics only.
 
     Each control step begins with a cold solver, and positions are read after the step's last instant: the future
-    depends on nothing that a scene does not tell. Robots are trees of bodies that an actuator or a mocap body drives.
+    depends on nothing that a scene does not tell. Robots are trees of bodies that an actuator or a mocap body drives,
+    and mocap bodies that are entities.
     An entity's frame is its body's, moved onto the axis of the hinge on which it hangs where that passes beside it.
 
     Args:
@@ -93,8 +89,8 @@ class MujocoSimulator:
             name: [number for number, _ in welded(self.model, int(k), entities)]
             for name, k in zip(self._bodies, self._ids, strict=True)
         }
-        self._solver: JointSolver
-        self._bind(robot)
+        self._parts = sort_parts(self.model, self._numbers(), None if robot is None else self._find(robot))
+        self._solver = JointSolver(self.model, self._parts.dofs, tuple(self._parts.articulated.values()))
         self.reset(0)
         self._base = np.array(self._world_pose(self._find(base)) if isinstance(base, str) else base, float)
         self._base_matrix = rotation(self._base).as_matrix()
@@ -135,34 +131,9 @@ class MujocoSimulator:
             raise unknown_name("body of the model", body, names)
         return names.index(body)
 
-    def _bind(self, robot: str | None) -> None:
-        """Sort the model's joints: the robot's, those of free bodies, and all others."""
-        model = self.model
-        roots = driven_roots(model) if robot is None else {self._find(robot)}
-        owned = {k for k in range(model.nbody) if roots & {*ancestors(model, k)}}
-        mine = np.array([model.jnt_bodyid[k] in owned for k in range(model.njnt)], bool)
-        self.robot_bodies = frozenset(owned)
-        """MuJoCo's numbers of the bodies that are the robot, whether or not they are entities."""
-        self._links = {name for name, k in zip(self._bodies, self._ids, strict=True) if int(k) in owned}
-        self._robot = scalar_joints(model, np.flatnonzero(mine))
-        free = np.flatnonzero(~mine & (model.jnt_type == joint_type("FREE")))
-        owner = {int(model.jnt_bodyid[k]): int(k) for k in free}
-        places = zip(self._bodies, self._ids, strict=True)
-        self._free = {name: owner[int(k)] for name, k in places if int(k) in owner}
-        others = np.flatnonzero(~mine & (model.jnt_type != joint_type("FREE")))
-        self._bind_articulated({int(k) for k in others})
-
-    def _bind_articulated(self, joints: set[int]) -> None:
-        """Find the entities that ``joints`` move."""
-        model = self.model
-        dofs = [k for k in range(model.nv) if int(model.dof_jntid[k]) in joints]
-        moved = {int(model.jnt_bodyid[k]) for k in joints}
-        self._articulated = {
-            name: int(k)
-            for name, k in zip(self._bodies, self._ids, strict=True)
-            if moved & {*ancestors(model, int(k))} and name not in self._free
-        }
-        self._solver = JointSolver(model, np.array(dofs, int), tuple(self._articulated.values()))
+    def _numbers(self) -> dict[str, int]:
+        """Entity name -> MuJoCo's number of its body."""
+        return dict(zip(self._bodies, self._ids.tolist(), strict=True))
 
     @property
     def bodies(self) -> dict[str, str]:
@@ -172,7 +143,12 @@ class MujocoSimulator:
     @property
     def links(self) -> frozenset[str]:
         """Names of the entities that the robot drives."""
-        return frozenset(self._links)
+        return self._parts.links
+
+    @property
+    def robot_bodies(self) -> frozenset[int]:
+        """MuJoCo's numbers of the bodies that are the robot, whether or not they are entities."""
+        return self._parts.robot
 
     @property
     def base(self) -> np.ndarray:
@@ -229,7 +205,7 @@ class MujocoSimulator:
         self._set_articulated(joints, poses)
         self._set_positions(joints[0], poses[0])
         self._set_velocities(joints[1], poses)
-        place_mocaps(self.model, self.data)
+        place_mocaps(self.model, self.data, told=self._parts.mocaps.values())
         self.world.set_goal(self._outward(np.asarray(scene.goal, float)))
         self._forward()
 
@@ -239,23 +215,27 @@ class MujocoSimulator:
             raise SceneError(f"the scene's entities are {scene.layout.names}; expected {tuple(self._bodies)}")
         if scene.joints is None:
             raise SceneError("scene.joints is None; a simulator starts only from a scene with joint positions")
-        if scene.joints.shape != (2, len(self._robot)):
+        if scene.joints.shape != (2, len(self._parts.joints)):
             raise SceneError(
-                f"scene.joints has {scene.joints.shape[-1]} joints; the simulator's robot has {len(self._robot)}"
+                f"scene.joints has {scene.joints.shape[-1]} joints; the simulator's robot has {len(self._parts.joints)}"
             )
         return np.asarray(scene.joints, float)
 
     def _set_positions(self, joints: np.ndarray, poses: np.ndarray) -> None:
-        """Put the robot at joint positions (J,), and free bodies at their poses, of all (E, 7) in the world."""
-        self.data.qpos[self.model.jnt_qposadr[self._robot]] = joints
-        for name, joint in self._free.items():
+        """Put the robot at joint positions (J,), free and mocap bodies at theirs of all poses (E, 7) in the world."""
+        self.data.qpos[self.model.jnt_qposadr[self._parts.joints]] = joints
+        for name, joint in self._parts.free.items():
             address = int(self.model.jnt_qposadr[joint])
             self.data.qpos[address : address + 7] = poses[[*self._bodies].index(name)]
+        for name, mocap in self._parts.mocaps.items():
+            place, turn = np.split(poses[[*self._bodies].index(name)], [3])
+            self.data.mocap_pos[mocap] = place
+            self.data.mocap_quat[mocap] = turn
 
     def _set_velocities(self, joints: np.ndarray, poses: np.ndarray) -> None:
         """Give the robot joint velocities (J,) a step, and free bodies those that poses (3, E, 7) tell."""
-        self.data.qvel[self.model.jnt_dofadr[self._robot]] = joints / self.world.period
-        for name, joint in self._free.items():
+        self.data.qvel[self.model.jnt_dofadr[self._parts.joints]] = joints / self.world.period
+        for name, joint in self._parts.free.items():
             own = poses[:, [*self._bodies].index(name)]
             set_free_velocity(self.data, int(self.model.jnt_dofadr[joint]), own, 1.0 / self.world.period)
 
@@ -267,7 +247,7 @@ class MujocoSimulator:
         """
         if not len(self._solver.dofs):
             return
-        own = [[*self._bodies].index(name) for name in self._articulated]
+        own = [[*self._bodies].index(name) for name in self._parts.articulated]
         self._set_positions(joints[0] - joints[1], poses[1])
         self._solver.solve(self.data, poses[1, own])
         before = self.data.qpos.copy()
@@ -286,9 +266,9 @@ class MujocoSimulator:
         if name not in self._bodies:
             raise unknown_name("entity", name, self._bodies)
         place = compose(self._base, pose)
-        if name in self._free:
-            self._rest(self._free[name], place)
-        elif name in self._articulated:
+        if name in self._parts.free and name not in self.links:
+            self._rest(self._parts.free[name], place)
+        elif name in self._parts.articulated:
             self._hang(name, place)
         else:
             raise SceneError(f"{name!r} is no free body; only free bodies can be placed")
@@ -303,8 +283,8 @@ class MujocoSimulator:
 
     def _hang(self, name: str, pose: np.ndarray) -> None:
         """Bring an articulated body to a pose (7,) in the world, at rest, with all others where they are."""
-        poses = np.array([self._world_pose(body) for body in self._articulated.values()])
-        poses[[*self._articulated].index(name)] = pose
+        poses = np.array([self._world_pose(body) for body in self._parts.articulated.values()])
+        poses[[*self._parts.articulated].index(name)] = pose
         self._solver.solve(self.data, poses)
         self.data.qvel[self._solver.dofs] = 0.0
 
@@ -395,8 +375,8 @@ class MujocoSimulator:
 
     def joints(self) -> np.ndarray:
         """Joint positions and velocities (2, J) float32: radians (sliding joints: metres), and these a control step."""
-        positions = self.data.qpos[self.model.jnt_qposadr[self._robot]]
-        speeds = self.data.qvel[self.model.jnt_dofadr[self._robot]] * self.world.period
+        positions = self.data.qpos[self.model.jnt_qposadr[self._parts.joints]]
+        speeds = self.data.qvel[self.model.jnt_dofadr[self._parts.joints]] * self.world.period
         return np.stack([positions, speeds]).astype(np.float32)
 
     def close(self) -> None:

@@ -122,7 +122,7 @@ def _joint(simulator: MujocoSimulator, name: str, place: Hanging, entities: dict
     kinds = [int(model.jnt_type[k]) for k in place.joints]
     parent = None if place.parent is None else entities[place.parent]
     if not kinds and parent is None:
-        return FIXED
+        return FREE if moves(model, simulator.body_id(name)) else FIXED  # a mocap body goes anywhere
     if not kinds:
         origin, _ = _origin(simulator, name, parent, None)
         return Joint("fixed", parent, origin)
