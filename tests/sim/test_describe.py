@@ -185,6 +185,12 @@ FLAT = '<mesh name="flat" inertia="shell" vertex="0 0 0 1 0 0 0 1 0 1 1 0" face=
 ROPE = """
     <tendon><spatial name="rope"><site site="hook"/><site site="eye"/></spatial></tendon>
     <actuator><motor tendon="rope" ctrlrange="-1 1"/></actuator>"""
+SEEN = '<site name="hook"/>'
+SUCTION = '<actuator><adhesion name="suck" body="thing" ctrlrange="0 1" gain="5"/></actuator>'
+CRANK = """
+    <actuator>
+      <general name="push" cranksite="eye" slidersite="hook" cranklength="0.4" ctrlrange="-1 1"/>
+    </actuator>"""
 CLOTH = '<flexcomp name="cloth" type="grid" count="3 3 1" spacing="0.1 0.1 0.1" mass="1" dim="2" rigid="true"/>'
 
 
@@ -192,6 +198,15 @@ CLOTH = '<flexcomp name="cloth" type="grid" count="3 3 1" spacing="0.1 0.1 0.1" 
     ("text", "complaint"),
     [
         (world(body='<site name="hook"/>' + BODY.format(geom=BALL), more=ROPE), "body 'thing' is free or a ball"),
+        (
+            world(body=SEEN + BALLS, more=ROPE.replace("<motor", '<motor name="pull"')),
+            "actuator 'pull' through tendon 'rope'",
+        ),
+        (
+            world(more=SUCTION),
+            "body 'thing' is free or a ball, driven by actuator 'suck' through adhesion of body 'thing'",
+        ),
+        (world(body=SEEN + BALLS, more=CRANK), "actuator 'push' drives a slider-crank by site 'eye'"),
         (world(body=CLOTH + BODY.format(geom=BALL)), "flexible body 'cloth'"),
         (world(HILLS, BODY.format(geom=BALL) + '<geom name="land" type="hfield" hfield="hills"/>'), "'land'.*height"),
         (world(FLAT, BODY.format(geom='<geom type="mesh" mesh="flat" mass="1"/>')), "mesh 'flat' has coplanar"),
@@ -199,7 +214,18 @@ CLOTH = '<flexcomp name="cloth" type="grid" count="3 3 1" spacing="0.1 0.1 0.1" 
         (world('<mesh name="m" file="gone.stl"/>', BODY.format(geom='<geom type="mesh" mesh="m"/>')), "gone.stl"),
         (world('<mesh name="m" file="/no/m.stl"/>', BODY.format(geom='<geom type="mesh" mesh="m"/>')), "/no/m.stl"),
     ],
-    ids=["tendon", "flex", "height field", "flat mesh", "many bodies", "missing mesh", "absolute path"],
+    ids=[
+        "tendon",
+        "named tendon",
+        "adhesion",
+        "slider-crank",
+        "flex",
+        "height field",
+        "flat mesh",
+        "many bodies",
+        "missing mesh",
+        "absolute path",
+    ],
 )
 def test_what_is_not_supported_is_named(text, complaint):
     with pytest.raises(PwmGymError, match=complaint):

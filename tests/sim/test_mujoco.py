@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
 import trimesh
@@ -423,6 +424,26 @@ def test_what_does_not_fit_is_named(pushing):
         XmlWorld("no.xml")
     with pytest.raises(PwmGymError, match=r"the action has shape \(2,\); expected \(1,\)"):
         pushing.step(np.zeros(2))
+
+
+@pytest.mark.parametrize(
+    ("actuator", "complaint"),
+    [
+        ('<position name="slow" joint="x" kp="9" timeconst="0.3" ctrlrange="-1 1"/>', "'slow' has an activation"),
+        ('<intvelocity name="slow" joint="x" ctrlrange="-1 1" actrange="-1 1"/>', "'slow' has an activation"),
+        ('<cylinder name="slow" joint="x" timeconst="0.3" ctrlrange="-1 1"/>', "'slow' has an activation"),
+        ('<muscle name="slow" joint="x" force="5" ctrlrange="0 1"/>', "'slow' has an activation"),
+        pytest.param(
+            '<motor name="slow" joint="x" ctrlrange="-1 1" delay="0.01" nsample="5"/>',
+            "'slow' remembers past controls",
+            marks=pytest.mark.skipif(not hasattr(mujoco.MjModel, "nhistory"), reason="this MuJoCo has no delays"),
+        ),
+    ],
+    ids=["timeconst", "intvelocity", "cylinder", "muscle", "delay"],
+)
+def test_an_actuator_with_a_memory_is_refused(actuator, complaint):
+    with pytest.raises(PwmGymError, match=complaint):
+        make(xml(BOX, actuator=f"<actuator>{actuator}</actuator>"), "pusher", "box")
 
 
 def test_scenes_that_do_not_fit_are_refused(pushing):

@@ -191,3 +191,19 @@ def check_supported(model: Any) -> None:
 
         name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_FLEX, 0) or "number 0"
         raise PwmGymError(f"the model has a flexible body {name!r}; expected rigid ones")
+    _check_memory(model)
+
+
+def _check_memory(model: Any) -> None:
+    """Refuse actuators whose force depends on more than positions, velocities and controls: no scene tells it."""
+    for k in range(model.nu):
+        name = label(model.actuator(k))
+        if model.actuator_actnum[k]:
+            raise PwmGymError(
+                f"actuator {name} has an activation, which a scene does not tell; expected one whose dyntype is none, "
+                "such as a position without timeconst, a velocity or a motor"
+            )
+        if getattr(model, "nhistory", 0) and model.actuator_history[k, 0]:  # older MuJoCo has none
+            raise PwmGymError(
+                f"actuator {name} remembers past controls, which a scene does not tell; expected one without a delay"
+            )
