@@ -446,6 +446,33 @@ def test_an_actuator_with_a_memory_is_refused(actuator, complaint):
         make(xml(BOX, actuator=f"<actuator>{actuator}</actuator>"), "pusher", "box")
 
 
+def _still(model, data, action):
+    return np.zeros(1)
+
+
+@pytest.mark.parametrize(
+    ("options", "complaint"),
+    [
+        ({"frame_skip": 0}, "frame_skip=0; expected a whole number of at least 1"),
+        ({"frame_skip": 2.5}, "frame_skip=2.5; expected a whole number of at least 1"),
+        ({"action_size": -1, "act": _still}, "action_size=-1; expected a whole number of at least 0"),
+        ({"action_size": 2}, "action_size=2; expected 1, one for each actuator"),
+        ({"start": lambda model, data, rng: "there"}, r"`start` returned 'there'; expected a goal \(G,\) or None"),
+        ({"start": lambda model, data, rng: 0.3}, r"`start` returned 0.3; expected a goal \(G,\) or None"),
+    ],
+)
+def test_options_that_do_not_fit_are_named(options, complaint):
+    with pytest.raises(PwmGymError, match=complaint):
+        make(xml(BOX), "pusher", "box", **options)
+
+
+def test_entities_are_bodies_of_their_own():
+    with pytest.raises(PwmGymError, match=r"bodies=\{\}; expected entity -> body"):
+        MujocoSimulator.from_xml(xml(BOX), {})
+    with pytest.raises(PwmGymError, match="entities 'box' and 'crate' are both body 'box'"):
+        MujocoSimulator.from_xml(xml(BOX), {"box": "box", "pusher": "pusher", "crate": "box"})
+
+
 def test_scenes_that_do_not_fit_are_refused(pushing):
     pushing.reset(0)
     scene = scene_of(pushing, [pushing.poses()] * 3)
@@ -463,6 +490,49 @@ def test_a_simulation_that_diverges_names_the_body(tmp_path, monkeypatch):
     with pytest.raises(PwmGymError, match="diverged: body 'pusher'"):
         for _ in range(20):
             simulator.step(np.ones(1))
+
+
+@pytest.mark.parametrize("body", [2, 8])
+def test_a_position_that_is_no_number_names_its_body(tmp_path, monkeypatch, body):
+    """A free body has seven positions and six degrees of freedom."""
+    monkeypatch.chdir(tmp_path)
+    balls = "".join(f'<body name="ball{k}" pos="{k} 2 1"><freejoint name="ball{k}"/>{SPHERE}</body>' for k in range(9))
+
+    def spoil(model, data, action):
+        data.joint(f"ball{body}").qpos[6] = np.nan
+        return np.zeros(1)
+
+    simulator = make(xml(balls), "pusher", act=spoil)
+    with pytest.raises(PwmGymError, match=f"diverged: body 'ball{body}'"):
+        simulator.step(np.zeros(1))
+
+
+@pytest.mark.parametrize(
+    ("returned", "complaint"),
+    [
+        (None, r"`act` returned None; expected controls \(1,\)"),
+        ("no", r"`act` returned 'no'; expected controls \(1,\)"),
+        (np.zeros(3), r"`act` returned array.*; expected controls \(1,\)"),
+        (np.full(1, np.nan), "control of actuator 'number 0' is nan; expected a finite number"),
+    ],
+    ids=["None", "text", "size", "nan"],
+)
+def test_controls_have_to_be_one_number_an_actuator(returned, complaint):
+    simulator = make(xml(BOX), "pusher", "box", act=lambda model, data, action: returned)
+    with pytest.raises(PwmGymError, match=complaint):
+        simulator.step(np.zeros(1))
+
+
+def test_a_control_that_a_world_of_ones_own_sets_is_checked_too(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+    class Careless(XmlWorld):
+        def drive(self, action):
+            self.data.ctrl[:] = np.nan
+
+    simulator = MujocoSimulator(Careless(xml(BOX)), {"pusher": "pusher"})
+    with pytest.raises(PwmGymError, match="the control of actuator 'number 0' is no finite number"):
+        simulator.step(np.zeros(1))
 
 
 def _hurl(data):

@@ -17,7 +17,7 @@ from pwm_gym.sim.mujoco.meshes import body_mesh, welded
 from pwm_gym.sim.mujoco.mocap import place_mocaps
 from pwm_gym.sim.mujoco.parts import sort_parts
 from pwm_gym.sim.mujoco.restore import JointSolver, set_free_velocity
-from pwm_gym.sim.mujoco.structure import check_supported, hanging
+from pwm_gym.sim.mujoco.structure import WARNINGS, check_supported, hanging, warned
 from pwm_gym.sim.mujoco.worlds import World, XmlWorld
 from pwm_gym.sim.protocol import SimOutcome
 
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 
 __all__ = ["MujocoSimulator"]
 
-_DIVERGED = ("mjWARN_BADQPOS", "mjWARN_BADQVEL", "mjWARN_BADQACC")
 _WORLD = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
 
 
@@ -51,7 +50,8 @@ class MujocoSimulator:
 
     Raises:
         UnknownNameError: a body that the model lacks, or a surface or a place of no entity.
-        PwmGymError: ``control`` is of another size or period, or the model has something that is not supported.
+        PwmGymError: there is no entity, two are one body, ``control`` is of another size or period, or the model has
+            something that is not supported.
     """
 
     def __init__(
@@ -78,6 +78,7 @@ class MujocoSimulator:
         check_supported(self.model)
         if control is not None:
             self._check_control(control)
+        self._check_bodies()
         self._ids = np.array([self._find(body) for body in self._bodies.values()])
         entities = {int(k) for k in self._ids}
         for name, body in zip(self._bodies, self._ids, strict=True):
@@ -130,6 +131,15 @@ class MujocoSimulator:
         if body not in names:
             raise unknown_name("body of the model", body, names)
         return names.index(body)
+
+    def _check_bodies(self) -> None:
+        if not self._bodies:
+            raise PwmGymError("bodies={}; expected entity -> body, of one at least")
+        owner: dict[str, str] = {}
+        for name, body in self._bodies.items():
+            if body in owner:
+                raise PwmGymError(f"entities {owner[body]!r} and {name!r} are both body {body!r}; expected one of them")
+            owner[body] = name
 
     def _numbers(self) -> dict[str, int]:
         """Entity name -> MuJoCo's number of its body."""
@@ -294,7 +304,7 @@ class MujocoSimulator:
         """Apply an action (A,) in [-1, 1] for one control step.
 
         Raises:
-            PwmGymError: the action is of another size, or the simulation diverged.
+            PwmGymError: the action is of another size, a control is no number, or the simulation diverged.
         """
         action = np.asarray(action, dtype=np.float32)
         if action.shape != (self.action_size,):
@@ -314,13 +324,11 @@ class MujocoSimulator:
     def _check_finite(self) -> None:
         import mujoco
 
-        warnings = [self.data.warning[int(getattr(mujoco.mjtWarning, name))] for name in _DIVERGED]
-        for warning in warnings:
+        for name in WARNINGS:
+            warning = self.data.warning[int(getattr(mujoco.mjtWarning, name))]
             if warning.number:
-                dof = min(int(warning.lastinfo), self.model.nv - 1)
-                body = self.model.body(int(self.model.dof_bodyid[dof])).name
                 warning.number = 0
-                raise PwmGymError(f"the simulation diverged: body {body!r} moves beyond all bounds or is not a number")
+                raise PwmGymError(warned(self.model, name, int(warning.lastinfo)))
 
     def outcome(self) -> SimOutcome:
         """Reward, success and grasp of the present instant."""

@@ -105,9 +105,9 @@ def _geom_mesh(model: Any, geom: int, hull: bool) -> trimesh.Trimesh:
         return mesh
     name = model.geom(geom).name or f"number {geom}"
     owner = model.body(int(model.geom_bodyid[geom])).name
+    told = {_kind("HFIELD"): "a height field", _kind("SDF"): "a signed distance field"}.get(kind, f"of type {kind}")
     raise SceneError(
-        f"geom {name!r} of body {owner!r} is of type {kind}; expected a mesh, box, sphere, ellipsoid, cylinder or "
-        "capsule"
+        f"geom {name!r} of body {owner!r} is {told}; expected a mesh, box, sphere, ellipsoid, cylinder or capsule"
     )
 
 

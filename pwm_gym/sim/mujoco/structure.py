@@ -12,6 +12,7 @@ from pwm_gym.errors import PwmGymError
 from pwm_gym.sim.mujoco.mocap import pulls
 
 __all__ = [
+    "WARNINGS",
     "Hanging",
     "ancestors",
     "check_supported",
@@ -23,7 +24,11 @@ __all__ = [
     "outermost",
     "scalar_joints",
     "tendon_bodies",
+    "warned",
 ]
+
+WARNINGS = ("mjWARN_BADQPOS", "mjWARN_BADQVEL", "mjWARN_BADQACC", "mjWARN_BADCTRL")
+"""MuJoCo's warnings after which a step means nothing."""
 
 _MOST_BODIES = 200
 _ON_AXIS = 1e-9  # metres
@@ -207,3 +212,21 @@ def _check_memory(model: Any) -> None:
             raise PwmGymError(
                 f"actuator {name} remembers past controls, which a scene does not tell; expected one without a delay"
             )
+
+
+def warned(model: Any, warning: str, number: int) -> str:
+    """What one of :data:`WARNINGS` means.
+
+    Args:
+        model: MuJoCo's.
+        warning: its name.
+        number: of a control, of a component of the positions, or of a degree of freedom.
+    """
+    if warning == "mjWARN_BADCTRL":
+        return f"the control of actuator {label(model.actuator(number))} is no finite number"
+    if warning == "mjWARN_BADQPOS":
+        joint = int(np.searchsorted(model.jnt_qposadr, number, side="right")) - 1
+        body = int(model.jnt_bodyid[joint])
+    else:
+        body = int(model.dof_bodyid[number])
+    return f"the simulation diverged: body {label(model.body(body))} moves beyond all bounds or is not a number"
