@@ -140,6 +140,40 @@ def test_what_a_model_does_not_tell_has_to_be_said():
         layout_of(make(names=(*LINKS, "box", "door")))
 
 
+ROPES = "<tendon><spatial name='rope' {}><site site='a'/><site site='b'/></spatial></tendon>"
+COUPLINGS = {
+    "spring": (ROPES.format("stiffness='50'"), "tendon 'rope' couples bodies 'fore' and 'box'"),
+    "limit": (ROPES.format("range='0 0.5' limited='true'"), "tendon 'rope' couples bodies 'fore' and 'box'"),
+    "equality": (
+        ROPES.format("") + "<equality><tendon name='tie' tendon1='rope'/></equality>",
+        "tendon equality 'tie' couples bodies 'fore' and 'box'",
+    ),
+    "joints": (
+        "<equality><joint name='cam' joint1='hinge' joint2='elbow' polycoef='0 1 2 0 0'/></equality>",
+        "joint equality 'cam', which is not linear, couples bodies 'door' and 'fore'",
+    ),
+}
+
+
+@pytest.mark.parametrize(("more", "complaint"), COUPLINGS.values(), ids=COUPLINGS)
+def test_what_couples_entities_without_a_touch_is_refused(more, complaint):
+    text = ROOM.replace('<body name="plate"', '<site name="a"/><body name="plate"').replace(
+        "<freejoint/>", '<freejoint/><site name="b"/>'
+    )
+    with pytest.raises(PwmGymError, match=complaint):
+        layout_of(make(text.replace("</mujoco>", f"{more}</mujoco>")))
+
+
+def test_what_couples_nothing_or_the_robot_alone_is_not():
+    text = ROOM.replace('<body name="plate"', '<site name="a"/><body name="plate"')
+    rope = ROPES.format("stiffness='50'")
+    cam = "<equality><joint joint1='jaw' joint2='elbow' polycoef='0 1 2 0 0'/></equality>"
+    own = text.replace('<joint name="shoulder"', '<site name="b"/><joint name="shoulder"')
+    layout_of(make(own.replace("</mujoco>", f"{rope}{cam}</mujoco>")))
+    slack = text.replace("<freejoint/>", '<freejoint/><site name="b"/>')
+    layout_of(make(slack.replace("</mujoco>", f"{ROPES.format('')}</mujoco>")))
+
+
 MOVING = {
     "free": '<body name="loose" pos="0 0 3"><freejoint/><geom name="skin" size="0.05"/></body>',
     "pendulum": '<body name="loose" pos="0 0 3"><joint/><geom name="skin" size="0.05"/></body>',

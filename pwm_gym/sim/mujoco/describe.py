@@ -15,6 +15,7 @@ from pwm_gym.scene import Layout, Support
 from pwm_gym.scene.joint import FIXED, FREE, Joint, JointKind, Mimic, Pose7
 from pwm_gym.scene.poses import relative, rotation
 from pwm_gym.sim.mujoco.adapter import MujocoSimulator
+from pwm_gym.sim.mujoco.couplings import check_couplings
 from pwm_gym.sim.mujoco.meshes import collides
 from pwm_gym.sim.mujoco.structure import Hanging, hanging, joint_type, label, moves
 from pwm_gym.sim.mujoco.worlds import XmlWorld
@@ -68,9 +69,11 @@ def layout_of(simulator: MujocoSimulator, points: int = 300) -> Layout:
 
     Raises:
         PwmGymError: an entity that hangs on several joints, which are not those of a free body, or something that can
-            be touched, belongs to no entity and is neither a plane or a box of the world nor part of the robot.
+            be touched, belongs to no entity and is neither a plane or a box of the world nor part of the robot, or
+            something that couples entities without a touch and is no linear equality of joints.
     """
     names = simulator.assets()
+    check_couplings(simulator.model, simulator.robot_bodies)
     return Layout.build(
         [(name, points) for name in names],
         driven=[name for name in names if name in simulator.links],

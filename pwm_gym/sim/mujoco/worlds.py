@@ -273,10 +273,9 @@ def _whose_file(xml: str | Path, text: bool, complaint: str) -> str:
     except ValueError:
         return ""
     assets = {"mesh": spec.meshes, "height field": spec.hfields, "texture": spec.textures}
-    found = [
-        (kind, asset) for kind, group in assets.items() for asset in group if asset.file and asset.file in complaint
-    ]
-    return "".join(f"; it is the file of {kind} {asset.name!r}" for kind, asset in found[:1])
+    named = [(len(a.file), kind, a.name) for kind, group in assets.items() for a in group if a.file in complaint]
+    length, kind, name = max(named, default=(0, "", ""))  # "a.stl" is in what is said of "data.stl", too
+    return f"; it is the file of {kind} {name!r}" if length else ""
 
 
 def make_environment(env_id: str) -> Any:
