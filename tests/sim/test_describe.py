@@ -140,6 +140,69 @@ def test_what_a_model_does_not_tell_has_to_be_said():
         layout_of(make(names=(*LINKS, "box", "door")))
 
 
+ROPES = "<tendon><spatial name='rope' {}><site site='a'/><site site='b'/></spatial></tendon>"
+COUPLINGS = {
+    "spring": (ROPES.format("stiffness='50'"), "tendon 'rope' couples bodies 'fore' and 'box'"),
+    "limit": (ROPES.format("range='0 0.5' limited='true'"), "tendon 'rope' couples bodies 'fore' and 'box'"),
+    "equality": (
+        ROPES.format("") + "<equality><tendon name='tie' tendon1='rope'/></equality>",
+        "tendon equality 'tie' couples bodies 'fore' and 'box'",
+    ),
+    "joints": (
+        "<equality><joint name='cam' joint1='hinge' joint2='elbow' polycoef='0 1 2 0 0'/></equality>",
+        "joint equality 'cam', which is not linear, couples bodies 'door' and 'fore'",
+    ),
+}
+
+
+@pytest.mark.parametrize(("more", "complaint"), COUPLINGS.values(), ids=COUPLINGS)
+def test_what_couples_entities_without_a_touch_is_refused(more, complaint):
+    text = ROOM.replace('<body name="plate"', '<site name="a"/><body name="plate"').replace(
+        "<freejoint/>", '<freejoint/><site name="b"/>'
+    )
+    with pytest.raises(PwmGymError, match=complaint):
+        layout_of(make(text.replace("</mujoco>", f"{more}</mujoco>")))
+
+
+def test_what_couples_nothing_or_the_robot_alone_is_not():
+    text = ROOM.replace('<body name="plate"', '<site name="a"/><body name="plate"')
+    rope = ROPES.format("stiffness='50'")
+    cam = "<equality><joint joint1='jaw' joint2='elbow' polycoef='0 1 2 0 0'/></equality>"
+    own = text.replace('<joint name="shoulder"', '<site name="b"/><joint name="shoulder"')
+    layout_of(make(own.replace("</mujoco>", f"{rope}{cam}</mujoco>")))
+    slack = text.replace("<freejoint/>", '<freejoint/><site name="b"/>')
+    layout_of(make(slack.replace("</mujoco>", f"{ROPES.format('')}</mujoco>")))
+
+
+MOVING = {
+    "free": '<body name="loose" pos="0 0 3"><freejoint/><geom name="skin" size="0.05"/></body>',
+    "pendulum": '<body name="loose" pos="0 0 3"><joint/><geom name="skin" size="0.05"/></body>',
+    "on a fixed body": """
+        <body pos="0 2 3"><body name="loose"><joint/><geom name="skin" size="0.05"/></body></body>""",
+    "mocap": '<body name="loose" pos="0 0 3" mocap="true"><geom name="skin" type="box" size="0.1 0.1 0.1"/></body>',
+    "height field": """
+        <body name="loose" pos="0 0 3"><freejoint/><inertial mass="1" pos="0 0 0" diaginertia="1 1 1"/>
+        <geom name="skin" type="hfield" hfield="hills"/></body>""",
+}
+
+
+@pytest.mark.parametrize("body", MOVING.values(), ids=MOVING)
+def test_what_moves_and_can_be_touched_has_to_be_an_entity(body):
+    text = ROOM.replace("<worldbody>", f"<asset>{HILLS}</asset><worldbody>{body}")
+    with pytest.raises(PwmGymError, match="geom 'skin' of body 'loose' can be touched and moves.*among the entities"):
+        layout_of(make(text))
+    layout_of(make(text.replace('name="skin"', 'name="skin" contype="0" conaffinity="0"')))
+
+
+def test_a_cable_has_to_be_entities():
+    cable = """
+        <composite prefix="rope" type="cable" curve="s" count="4 1 1" size="0.5" offset="0 0 3">
+          <joint kind="main" damping="0.01"/><geom type="capsule" size="0.01"/>
+        </composite>"""
+    with pytest.raises(PwmGymError, match="of body 'ropeB_first' can be touched and moves"):
+        layout_of(make(ROOM.replace("<worldbody>", f"<worldbody>{cable}")))
+
+
 BODY = '<body name="thing" pos="0 0 1"><freejoint/>{geom}<site name="eye"/></body>'
 BALL = '<geom size="0.05"/>'
 
@@ -156,6 +219,12 @@ FLAT = '<mesh name="flat" inertia="shell" vertex="0 0 0 1 0 0 0 1 0 1 1 0" face=
 ROPE = """
     <tendon><spatial name="rope"><site site="hook"/><site site="eye"/></spatial></tendon>
     <actuator><motor tendon="rope" ctrlrange="-1 1"/></actuator>"""
+SEEN = '<site name="hook"/>'
+SUCTION = '<actuator><adhesion name="suck" body="thing" ctrlrange="0 1" gain="5"/></actuator>'
+CRANK = """
+    <actuator>
+      <general name="push" cranksite="eye" slidersite="hook" cranklength="0.4" ctrlrange="-1 1"/>
+    </actuator>"""
 CLOTH = '<flexcomp name="cloth" type="grid" count="3 3 1" spacing="0.1 0.1 0.1" mass="1" dim="2" rigid="true"/>'
 
 
@@ -163,14 +232,40 @@ CLOTH = '<flexcomp name="cloth" type="grid" count="3 3 1" spacing="0.1 0.1 0.1" 
     ("text", "complaint"),
     [
         (world(body='<site name="hook"/>' + BODY.format(geom=BALL), more=ROPE), "body 'thing' is free or a ball"),
+        (
+            world(body=SEEN + BALLS, more=ROPE.replace("<motor", '<motor name="pull"')),
+            "actuator 'pull' through tendon 'rope'",
+        ),
+        (
+            world(more=SUCTION),
+            "body 'thing' is free or a ball, driven by actuator 'suck' through adhesion of body 'thing'",
+        ),
+        (world(body=SEEN + BALLS, more=CRANK), "actuator 'push' drives a slider-crank by site 'eye'"),
         (world(body=CLOTH + BODY.format(geom=BALL)), "flexible body 'cloth'"),
         (world(HILLS, BODY.format(geom=BALL) + '<geom name="land" type="hfield" hfield="hills"/>'), "'land'.*height"),
         (world(FLAT, BODY.format(geom='<geom type="mesh" mesh="flat" mass="1"/>')), "mesh 'flat' has coplanar"),
         (world(body=BODY.format(geom=BALL) + 200 * f"<body>{BALL}</body>"), "has 202 bodies; expected 200 at most"),
-        (world('<mesh name="m" file="gone.stl"/>', BODY.format(geom='<geom type="mesh" mesh="m"/>')), "gone.stl"),
-        (world('<mesh name="m" file="/no/m.stl"/>', BODY.format(geom='<geom type="mesh" mesh="m"/>')), "/no/m.stl"),
+        (
+            world('<mesh name="m" file="gone.stl"/>', BODY.format(geom='<geom type="mesh" mesh="m"/>')),
+            "gone.stl.*of mesh 'm'",
+        ),
+        (
+            world('<mesh name="m" file="/no/m.stl"/>', BODY.format(geom='<geom type="mesh" mesh="m"/>')),
+            "/no/m.stl.*of mesh 'm'",
+        ),
     ],
-    ids=["tendon", "flex", "height field", "flat mesh", "many bodies", "missing mesh", "absolute path"],
+    ids=[
+        "tendon",
+        "named tendon",
+        "adhesion",
+        "slider-crank",
+        "flex",
+        "height field",
+        "flat mesh",
+        "many bodies",
+        "missing mesh",
+        "absolute path",
+    ],
 )
 def test_what_is_not_supported_is_named(text, complaint):
     with pytest.raises(PwmGymError, match=complaint):
@@ -179,7 +274,7 @@ def test_what_is_not_supported_is_named(text, complaint):
 
 def test_an_entitys_height_field_or_plane_is_refused():
     land = '<body name="land"><geom name="land" type="hfield" hfield="hills"/></body>'
-    with pytest.raises(SceneError, match="geom 'land' of body 'land' is of type 1; expected a mesh"):
+    with pytest.raises(SceneError, match="geom 'land' of body 'land' is a height field; expected a mesh"):
         make(world(HILLS, land), ["land"]).meshes()
     with pytest.raises(SceneError, match="body 'ground' has no geom that collides, planes apart"):
         make(world(body='<body name="ground"><geom type="plane" size="1 1 1"/></body>'), ["ground"]).meshes()

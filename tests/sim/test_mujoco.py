@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
 import trimesh
@@ -11,7 +12,7 @@ from pwm_gym.errors import PwmGymError, SceneError, UnknownNameError
 from pwm_gym.robots import Channel, Control
 from pwm_gym.scene import Layout, Scene
 from pwm_gym.sim import PlacesBodies, Simulator
-from pwm_gym.sim.mujoco import MujocoSimulator, RoboticsWorld, XmlWorld
+from pwm_gym.sim.mujoco import MujocoSimulator, RoboticsWorld, XmlWorld, layout_of, robot_of
 
 ROBOT = """
     <body name="pusher" pos="-0.3 0 0.035">
@@ -64,6 +65,9 @@ HAND = """
       <geom type="box" size="0.02 0.03 0.04" mass="0.5"/>
     </body>"""
 WELD = '<equality><weld body1="target" body2="hand" relpose="0.01 0 0.02 1 0 0 0"/></equality>'
+
+
+SPHERE = '<geom size="0.02"/>'
 
 
 def make(text, *names, **options):
@@ -201,6 +205,33 @@ def test_articulated_bodies_are_restored_by_their_poses():
     np.testing.assert_allclose(other.data.qvel[1:], simulator.data.qvel[1:], rtol=0.25, atol=0.02)
 
 
+CHEST = """
+    <body name="chest" pos="0 0.3 0.5">
+      <freejoint/>
+      <geom type="box" size="0.05 0.05 0.05" mass="0.5"/>
+      <body name="lid" pos="-0.05 0 0.06">
+        <joint name="lid" type="hinge" axis="0 1 0" damping="0.002"/>
+        <geom type="box" size="0.05 0.05 0.005" pos="0.05 0 0" mass="0.05"/>
+      </body>
+    </body>"""
+
+
+def test_what_hangs_on_a_free_body_is_restored_where_that_body_is():
+    """The chest flies and turns, and its lid swings."""
+    simulator, other = (make(xml(CHEST), "pusher", "chest", "lid") for _ in range(2))
+    simulator.reset(0)
+    simulator.data.qpos[1:4] = [0.4, 0.5, 0.8]
+    simulator.data.qpos[4:8] = Rotation.from_rotvec([0.0, 0.3, 0.8]).as_quat(scalar_first=True)
+    simulator.data.qpos[8] = -0.8
+    simulator.data.qvel[1:] = [0.3, 0.1, 0.5, 0.0, 0.2, 1.0, -1.0]
+    poses = run(simulator, np.zeros((4, 1)))
+    assert np.abs(poses[-1, 1:] - poses[-2, 1:]).max() > 0.01
+    other.restore(scene_of(simulator, poses[-3:][::-1]))
+    np.testing.assert_allclose(other.data.qpos, simulator.data.qpos, atol=1e-6)
+    np.testing.assert_allclose(other.poses(), poses[-1], atol=1e-6)
+    assert other.data.qvel[7] == pytest.approx(simulator.data.qvel[7], abs=0.05)
+
+
 def test_an_articulated_body_beyond_its_limits_or_off_its_joint_is_refused():
     names = ("pusher", "drawer")
     simulator = make(xml(CABINET), *names)
@@ -230,6 +261,38 @@ def test_a_loop_that_a_connection_closes_stays_closed():
     np.testing.assert_allclose(run(other, np.zeros((5, 1)))[-1], run(simulator, np.zeros((5, 1)))[-1], atol=5e-3)
 
 
+CRANKED = '<actuator><position joint="a" kp="2" ctrlrange="-0.6 0.6"/></actuator>'
+SLIDES = """
+    <joint name="c" type="slide" axis="1 0 0" damping="0.02"/><joint type="slide" axis="0 0 1" damping="0.02"/>"""
+
+
+@pytest.mark.parametrize(
+    ("bars", "equality"),
+    [
+        (FOUR_BAR, CONNECT),
+        (
+            FOUR_BAR.replace('<joint name="c" type="hinge" axis="0 1 0" damping="0.02"/>', SLIDES),
+            '<equality><weld body1="rod" body2="rocker" solref="0.004 1"/></equality>',
+        ),
+    ],
+    ids=["connect", "weld"],
+)
+def test_a_robots_loop_stays_closed_though_its_other_side_is_no_entity(bars, equality):
+    simulator, other = (make(xml(bars, equality, CRANKED), "crank") for _ in range(2))
+    simulator.reset(0)
+    poses = run(simulator, np.full((8, 1), 0.8))
+    rocker = simulator.data.body("rocker").xpos
+    joint = simulator.model.joint("c").qposadr[0]
+    assert abs(simulator.data.qpos[joint]) > 0.02
+    other.restore(scene_of(simulator, poses[-3:][::-1]))
+    np.testing.assert_allclose(other.data.body("rocker").xpos, rocker, atol=2e-3)
+    np.testing.assert_allclose(other.data.qpos[joint], simulator.data.qpos[joint], atol=2e-3)
+    np.testing.assert_allclose(other.data.qvel, simulator.data.qvel, atol=0.1)
+    np.testing.assert_allclose(
+        run(other, np.full((5, 1), 0.8))[-1], run(simulator, np.full((5, 1), 0.8))[-1], atol=2e-3
+    )
+
+
 def test_a_mocap_body_goes_where_the_weld_to_its_link_is_satisfied():
     simulator = MujocoSimulator.from_xml(
         xml(HAND, WELD, ""),
@@ -246,6 +309,84 @@ def test_a_mocap_body_goes_where_the_weld_to_its_link_is_satisfied():
     before = simulator.poses()
     simulator.step(np.zeros(2))
     np.testing.assert_allclose(simulator.poses(), before, atol=1e-3)  # it rests where it is
+
+
+SITES = "".join(f'<site name="s{k}" pos="0 0 {k}"/>' for k in range(9))  # more than there are bodies
+SITED = SITES + HAND.replace("</body>", '<site name="at" pos="0.01 0 0.02" euler="0 0.3 0"/></body>', 1).replace(
+    'mass="0.5"/>', 'mass="0.5"/><site name="grip" euler="0 0.3 0"/>'
+)
+FREE_HAND = HAND.replace(
+    '<joint name="hx" type="slide" axis="1 0 0"/><joint name="hz" type="slide" axis="0 0 1"/>', "<freejoint/>"
+)
+TURNED = '<equality><weld body1="target" body2="hand" relpose="0.01 0 0.02 0.8 0 0 0.6"/></equality>'
+MOCAP_HAND = """
+    <body name="hand" mocap="true" pos="0.1 -0.4 0.3"><geom type="box" size="0.02 0.03 0.04" mass="0.5"/></body>"""
+
+
+@pytest.mark.parametrize(
+    ("hand", "equality"),
+    [
+        (SITED, '<equality><weld site1="at" site2="grip"/></equality>'),
+        (SITED, '<equality><weld site1="grip" site2="at"/></equality>'),
+        (HAND, '<equality><connect body1="target" body2="hand" anchor="0.05 0 0"/></equality>'),
+        (HAND, '<equality><connect body1="hand" body2="target" anchor="0.05 0 0"/></equality>'),
+        (SITED, '<equality><connect site1="grip" site2="at"/></equality>'),
+        (FREE_HAND, TURNED),
+        (MOCAP_HAND, ""),
+    ],
+    ids=["weld by sites", "the other way", "connect", "its other way", "by sites", "free hand", "mocap hand"],
+)
+def test_what_a_mocap_body_pulls_and_what_it_is_are_restored(hand, equality):
+    simulator = MujocoSimulator.from_xml(
+        xml(hand, equality, ""),
+        {"hand": "hand", "pusher": "pusher"},
+        act=lambda model, data, action: _move_mocap(data, action),
+        action_size=2,
+    )
+    assert simulator.links == {"hand"}
+    layout = layout_of(simulator, points=4)
+    assert layout["hand"].driven and [layout.names[k] for k in layout.hands] == ["hand"]
+    assert [*robot_of(simulator, "hand", [Channel("joint", 0, 2)]).links] == ["hand"]
+    simulator.reset(0)
+    start = simulator.poses()[0]
+    run(simulator, np.tile([[0.2, 0.1]], (20, 1)))
+    poses = run(simulator, np.zeros((60, 2)))[-1]
+    assert poses[0, 0] > start[0] + 0.1
+    scene = scene_of(simulator, [poses] * 3)
+    mocap = simulator.data.mocap_pos.copy(), simulator.data.mocap_quat.copy()
+    simulator.reset(1)
+    simulator.restore(scene)
+    np.testing.assert_allclose(simulator.poses(), poses, atol=1e-6)
+    np.testing.assert_allclose(simulator.data.mocap_pos, mocap[0], atol=2e-3)
+    np.testing.assert_allclose(simulator.data.mocap_quat, mocap[1], atol=2e-3)
+    simulator.step(np.zeros(2))
+    np.testing.assert_allclose(simulator.poses(), poses, atol=2e-3)
+
+
+def test_a_free_hand_goes_on_at_its_speed_and_is_not_placed():
+    simulator, other = (
+        make(
+            xml(FREE_HAND, TURNED, ""), "hand", act=lambda model, data, action: _move_mocap(data, action), action_size=2
+        )
+        for _ in range(2)
+    )
+    poses = run(simulator, np.tile([[0.2, 0.1]], (20, 1)))
+    other.restore(scene_of(simulator, poses[-3:][::-1]))
+    np.testing.assert_allclose(other.data.qvel, simulator.data.qvel, atol=0.1)  # their mean of a step
+    with pytest.raises(SceneError, match="'hand' is no free body"):
+        other.place("hand", poses[0, 0])
+
+
+def test_what_hangs_on_a_mocap_body_that_is_no_entity_is_refused():
+    act = {"act": lambda model, data, action: _move_mocap(data, action), "action_size": 2}
+    palm = MOCAP_HAND.replace('name="hand"', 'name="wrist"').replace(
+        "</body>", f'<body name="palm">{SPHERE}</body></body>'
+    )
+    with pytest.raises(PwmGymError, match="entity 'palm' hangs on mocap body 'wrist'.*expected 'wrist'"):
+        make(xml(palm, "", ""), "palm", **act)
+    named = TURNED.replace("<weld", '<weld name="glue"')
+    with pytest.raises(PwmGymError, match="body 'hand' has a free joint, and weld 'glue' binds.*'target'; expected it"):
+        make(xml(FREE_HAND, named, ""), "pusher", **act)
 
 
 def _move_mocap(data, action):
@@ -285,6 +426,53 @@ def test_what_does_not_fit_is_named(pushing):
         pushing.step(np.zeros(2))
 
 
+@pytest.mark.parametrize(
+    ("actuator", "complaint"),
+    [
+        ('<position name="slow" joint="x" kp="9" timeconst="0.3" ctrlrange="-1 1"/>', "'slow' has an activation"),
+        ('<intvelocity name="slow" joint="x" ctrlrange="-1 1" actrange="-1 1"/>', "'slow' has an activation"),
+        ('<cylinder name="slow" joint="x" timeconst="0.3" ctrlrange="-1 1"/>', "'slow' has an activation"),
+        ('<muscle name="slow" joint="x" force="5" ctrlrange="0 1"/>', "'slow' has an activation"),
+        pytest.param(
+            '<motor name="slow" joint="x" ctrlrange="-1 1" delay="0.01" nsample="5"/>',
+            "'slow' remembers past controls",
+            marks=pytest.mark.skipif(not hasattr(mujoco.MjModel, "nhistory"), reason="this MuJoCo has no delays"),
+        ),
+    ],
+    ids=["timeconst", "intvelocity", "cylinder", "muscle", "delay"],
+)
+def test_an_actuator_with_a_memory_is_refused(actuator, complaint):
+    with pytest.raises(PwmGymError, match=complaint):
+        make(xml(BOX, actuator=f"<actuator>{actuator}</actuator>"), "pusher", "box")
+
+
+def _still(model, data, action):
+    return np.zeros(1)
+
+
+@pytest.mark.parametrize(
+    ("options", "complaint"),
+    [
+        ({"frame_skip": 0}, "frame_skip=0; expected a whole number of at least 1"),
+        ({"frame_skip": 2.5}, "frame_skip=2.5; expected a whole number of at least 1"),
+        ({"action_size": -1, "act": _still}, "action_size=-1; expected a whole number of at least 0"),
+        ({"action_size": 2}, "action_size=2; expected 1, one for each actuator"),
+        ({"start": lambda model, data, rng: "there"}, r"`start` returned 'there'; expected a goal \(G,\) or None"),
+        ({"start": lambda model, data, rng: 0.3}, r"`start` returned 0.3; expected a goal \(G,\) or None"),
+    ],
+)
+def test_options_that_do_not_fit_are_named(options, complaint):
+    with pytest.raises(PwmGymError, match=complaint):
+        make(xml(BOX), "pusher", "box", **options)
+
+
+def test_entities_are_bodies_of_their_own():
+    with pytest.raises(PwmGymError, match=r"bodies=\{\}; expected entity -> body"):
+        MujocoSimulator.from_xml(xml(BOX), {})
+    with pytest.raises(PwmGymError, match="entities 'box' and 'crate' are both body 'box'"):
+        MujocoSimulator.from_xml(xml(BOX), {"box": "box", "pusher": "pusher", "crate": "box"})
+
+
 def test_scenes_that_do_not_fit_are_refused(pushing):
     pushing.reset(0)
     scene = scene_of(pushing, [pushing.poses()] * 3)
@@ -302,6 +490,49 @@ def test_a_simulation_that_diverges_names_the_body(tmp_path, monkeypatch):
     with pytest.raises(PwmGymError, match="diverged: body 'pusher'"):
         for _ in range(20):
             simulator.step(np.ones(1))
+
+
+@pytest.mark.parametrize("body", [2, 8])
+def test_a_position_that_is_no_number_names_its_body(tmp_path, monkeypatch, body):
+    """A free body has seven positions and six degrees of freedom."""
+    monkeypatch.chdir(tmp_path)
+    balls = "".join(f'<body name="ball{k}" pos="{k} 2 1"><freejoint name="ball{k}"/>{SPHERE}</body>' for k in range(9))
+
+    def spoil(model, data, action):
+        data.joint(f"ball{body}").qpos[6] = np.nan
+        return np.zeros(1)
+
+    simulator = make(xml(balls), "pusher", act=spoil)
+    with pytest.raises(PwmGymError, match=f"diverged: body 'ball{body}'"):
+        simulator.step(np.zeros(1))
+
+
+@pytest.mark.parametrize(
+    ("returned", "complaint"),
+    [
+        (None, r"`act` returned None; expected controls \(1,\)"),
+        ("no", r"`act` returned 'no'; expected controls \(1,\)"),
+        (np.zeros(3), r"`act` returned array.*; expected controls \(1,\)"),
+        (np.full(1, np.nan), "control of actuator 'number 0' is nan; expected a finite number"),
+    ],
+    ids=["None", "text", "size", "nan"],
+)
+def test_controls_have_to_be_one_number_an_actuator(returned, complaint):
+    simulator = make(xml(BOX), "pusher", "box", act=lambda model, data, action: returned)
+    with pytest.raises(PwmGymError, match=complaint):
+        simulator.step(np.zeros(1))
+
+
+def test_a_control_that_a_world_of_ones_own_sets_is_checked_too(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+    class Careless(XmlWorld):
+        def drive(self, action):
+            self.data.ctrl[:] = np.nan
+
+    simulator = MujocoSimulator(Careless(xml(BOX)), {"pusher": "pusher"})
+    with pytest.raises(PwmGymError, match="the control of actuator 'number 0' is no finite number"):
+        simulator.step(np.zeros(1))
 
 
 def _hurl(data):

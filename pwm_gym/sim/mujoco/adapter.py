@@ -14,15 +14,10 @@ from pwm_gym.robots.control import Control
 from pwm_gym.scene import Scene
 from pwm_gym.scene.poses import compose, relative, rotation
 from pwm_gym.sim.mujoco.meshes import body_mesh, welded
-from pwm_gym.sim.mujoco.restore import JointSolver, place_mocaps, set_free_velocity
-from pwm_gym.sim.mujoco.structure import (
-    ancestors,
-    check_supported,
-    driven_roots,
-    hanging,
-    joint_type,
-    scalar_joints,
-)
+from pwm_gym.sim.mujoco.mocap import place_mocaps
+from pwm_gym.sim.mujoco.parts import sort_parts
+from pwm_gym.sim.mujoco.restore import JointSolver, set_free_velocity
+from pwm_gym.sim.mujoco.structure import WARNINGS, check_supported, hanging, warned
 from pwm_gym.sim.mujoco.worlds import World, XmlWorld
 from pwm_gym.sim.protocol import SimOutcome
 
@@ -31,7 +26,6 @@ if TYPE_CHECKING:
 
 __all__ = ["MujocoSimulator"]
 
-_DIVERGED = ("mjWARN_BADQPOS", "mjWARN_BADQVEL", "mjWARN_BADQACC")
 _WORLD = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
 
 
@@ -39,7 +33,8 @@ class MujocoSimulator:
     """A MuJoCo model, one environment, physics only.
 
     Each control step begins with a cold solver, and positions are read after the step's last instant: the future
-    depends on nothing that a scene does not tell. Robots are trees of bodies that an actuator or a mocap body drives.
+    depends on nothing that a scene does not tell. Robots are trees of bodies that an actuator or a mocap body drives,
+    and mocap bodies that are entities.
     An entity's frame is its body's, moved onto the axis of the hinge on which it hangs where that passes beside it.
 
     Args:
@@ -55,7 +50,8 @@ class MujocoSimulator:
 
     Raises:
         UnknownNameError: a body that the model lacks, or a surface or a place of no entity.
-        PwmGymError: ``control`` is of another size or period, or the model has something that is not supported.
+        PwmGymError: there is no entity, two are one body, ``control`` is of another size or period, or the model has
+            something that is not supported.
     """
 
     def __init__(
@@ -82,6 +78,7 @@ class MujocoSimulator:
         check_supported(self.model)
         if control is not None:
             self._check_control(control)
+        self._check_bodies()
         self._ids = np.array([self._find(body) for body in self._bodies.values()])
         entities = {int(k) for k in self._ids}
         for name, body in zip(self._bodies, self._ids, strict=True):
@@ -93,8 +90,8 @@ class MujocoSimulator:
             name: [number for number, _ in welded(self.model, int(k), entities)]
             for name, k in zip(self._bodies, self._ids, strict=True)
         }
-        self._solver: JointSolver
-        self._bind(robot)
+        self._parts = sort_parts(self.model, self._numbers(), None if robot is None else self._find(robot))
+        self._solver = JointSolver(self.model, self._parts.dofs, tuple(self._parts.articulated.values()))
         self.reset(0)
         self._base = np.array(self._world_pose(self._find(base)) if isinstance(base, str) else base, float)
         self._base_matrix = rotation(self._base).as_matrix()
@@ -135,32 +132,18 @@ class MujocoSimulator:
             raise unknown_name("body of the model", body, names)
         return names.index(body)
 
-    def _bind(self, robot: str | None) -> None:
-        """Sort the model's joints: the robot's, those of free bodies, and all others."""
-        model = self.model
-        roots = driven_roots(model) if robot is None else {self._find(robot)}
-        owned = {k for k in range(model.nbody) if roots & {*ancestors(model, k)}}
-        mine = np.array([model.jnt_bodyid[k] in owned for k in range(model.njnt)], bool)
-        self._links = {name for name, k in zip(self._bodies, self._ids, strict=True) if int(k) in owned}
-        self._robot = scalar_joints(model, np.flatnonzero(mine))
-        free = np.flatnonzero(~mine & (model.jnt_type == joint_type("FREE")))
-        owner = {int(model.jnt_bodyid[k]): int(k) for k in free}
-        places = zip(self._bodies, self._ids, strict=True)
-        self._free = {name: owner[int(k)] for name, k in places if int(k) in owner}
-        others = np.flatnonzero(~mine & (model.jnt_type != joint_type("FREE")))
-        self._bind_articulated({int(k) for k in others})
+    def _check_bodies(self) -> None:
+        if not self._bodies:
+            raise PwmGymError("bodies={}; expected entity -> body, of one at least")
+        owner: dict[str, str] = {}
+        for name, body in self._bodies.items():
+            if body in owner:
+                raise PwmGymError(f"entities {owner[body]!r} and {name!r} are both body {body!r}; expected one of them")
+            owner[body] = name
 
-    def _bind_articulated(self, joints: set[int]) -> None:
-        """Find the entities that ``joints`` move."""
-        model = self.model
-        dofs = [k for k in range(model.nv) if int(model.dof_jntid[k]) in joints]
-        moved = {int(model.jnt_bodyid[k]) for k in joints}
-        self._articulated = {
-            name: int(k)
-            for name, k in zip(self._bodies, self._ids, strict=True)
-            if moved & {*ancestors(model, int(k))} and name not in self._free
-        }
-        self._solver = JointSolver(model, np.array(dofs, int), tuple(self._articulated.values()))
+    def _numbers(self) -> dict[str, int]:
+        """Entity name -> MuJoCo's number of its body."""
+        return dict(zip(self._bodies, self._ids.tolist(), strict=True))
 
     @property
     def bodies(self) -> dict[str, str]:
@@ -170,7 +153,12 @@ class MujocoSimulator:
     @property
     def links(self) -> frozenset[str]:
         """Names of the entities that the robot drives."""
-        return frozenset(self._links)
+        return self._parts.links
+
+    @property
+    def robot_bodies(self) -> frozenset[int]:
+        """MuJoCo's numbers of the bodies that are the robot, whether or not they are entities."""
+        return self._parts.robot
 
     @property
     def base(self) -> np.ndarray:
@@ -224,11 +212,10 @@ class MujocoSimulator:
         for name in self._placed:
             row = [*self._bodies].index(name)
             self.model.body_pos[self._ids[row]], self.model.body_quat[self._ids[row]] = np.split(poses[0, row], [3])
-        self._set_robot(joints)
-        self._set_articulated(poses)
-        for name, joint in self._free.items():
-            self._set_free(joint, poses[:, [*self._bodies].index(name)])
-        place_mocaps(self.model, self.data)
+        self._set_articulated(joints, poses)
+        self._set_positions(joints[0], poses[0])
+        self._set_velocities(joints[1], poses)
+        place_mocaps(self.model, self.data, told=self._parts.mocaps.values())
         self.world.set_goal(self._outward(np.asarray(scene.goal, float)))
         self._forward()
 
@@ -238,33 +225,46 @@ class MujocoSimulator:
             raise SceneError(f"the scene's entities are {scene.layout.names}; expected {tuple(self._bodies)}")
         if scene.joints is None:
             raise SceneError("scene.joints is None; a simulator starts only from a scene with joint positions")
-        if scene.joints.shape != (2, len(self._robot)):
+        if scene.joints.shape != (2, len(self._parts.joints)):
             raise SceneError(
-                f"scene.joints has {scene.joints.shape[-1]} joints; the simulator's robot has {len(self._robot)}"
+                f"scene.joints has {scene.joints.shape[-1]} joints; the simulator's robot has {len(self._parts.joints)}"
             )
         return np.asarray(scene.joints, float)
 
-    def _set_robot(self, joints: np.ndarray) -> None:
-        """Joint positions and velocities a step (2, J)."""
-        self.data.qpos[self.model.jnt_qposadr[self._robot]] = joints[0]
-        self.data.qvel[self.model.jnt_dofadr[self._robot]] = joints[1] / self.world.period
+    def _set_positions(self, joints: np.ndarray, poses: np.ndarray) -> None:
+        """Put the robot at joint positions (J,), free and mocap bodies at theirs of all poses (E, 7) in the world."""
+        self.data.qpos[self.model.jnt_qposadr[self._parts.joints]] = joints
+        for name, joint in self._parts.free.items():
+            address = int(self.model.jnt_qposadr[joint])
+            self.data.qpos[address : address + 7] = poses[[*self._bodies].index(name)]
+        for name, mocap in self._parts.mocaps.items():
+            place, turn = np.split(poses[[*self._bodies].index(name)], [3])
+            self.data.mocap_pos[mocap] = place
+            self.data.mocap_quat[mocap] = turn
 
-    def _set_articulated(self, poses: np.ndarray) -> None:
-        """Place articulated entities by poses (3, E, 7) in the world, with the velocities that these tell."""
-        if not self._articulated:
+    def _set_velocities(self, joints: np.ndarray, poses: np.ndarray) -> None:
+        """Give the robot joint velocities (J,) a step, and free bodies those that poses (3, E, 7) tell."""
+        self.data.qvel[self.model.jnt_dofadr[self._parts.joints]] = joints / self.world.period
+        for name, joint in self._parts.free.items():
+            own = poses[:, [*self._bodies].index(name)]
+            set_free_velocity(self.data, int(self.model.jnt_dofadr[joint]), own, 1.0 / self.world.period)
+
+    def _set_articulated(self, joints: np.ndarray, poses: np.ndarray) -> None:
+        """Place articulated entities by poses (3, E, 7) in the world, with the velocities that these tell.
+
+        They may hang on free bodies, so that these and the robot, with joints (2, J), go first where they were. Joints
+        that move no entity are solved for, too: a loop may bind them to the robot.
+        """
+        if not len(self._solver.dofs):
             return
-        own = [[*self._bodies].index(name) for name in self._articulated]
+        own = [[*self._bodies].index(name) for name in self._parts.articulated]
+        self._set_positions(joints[0] - joints[1], poses[1])
         self._solver.solve(self.data, poses[1, own])
         before = self.data.qpos.copy()
+        self._set_positions(joints[0], poses[0])
         self._solver.solve(self.data, poses[0, own])
         velocities = self._solver.velocities(self.data, before, 1.0 / self.world.period)
         self.data.qvel[self._solver.dofs] = velocities
-
-    def _set_free(self, joint: int, poses: np.ndarray) -> None:
-        """Pose and velocity of a free body of its poses (3, 7) in the world."""
-        address = int(self.model.jnt_qposadr[joint])
-        self.data.qpos[address : address + 7] = poses[0]
-        set_free_velocity(self.data, int(self.model.jnt_dofadr[joint]), poses, 1.0 / self.world.period)
 
     def place(self, name: str, pose: np.ndarray) -> None:
         """Put a free body at rest at a pose (7,) in the base's frame.
@@ -276,18 +276,25 @@ class MujocoSimulator:
         if name not in self._bodies:
             raise unknown_name("entity", name, self._bodies)
         place = compose(self._base, pose)
-        if name in self._free:
-            self._set_free(self._free[name], np.stack([place] * 3))
-        elif name in self._articulated:
+        if name in self._parts.free and name not in self.links:
+            self._rest(self._parts.free[name], place)
+        elif name in self._parts.articulated:
             self._hang(name, place)
         else:
             raise SceneError(f"{name!r} is no free body; only free bodies can be placed")
         self._forward()
 
+    def _rest(self, joint: int, pose: np.ndarray) -> None:
+        """Put the body of a free joint at a pose (7,) in the world, at rest."""
+        position = int(self.model.jnt_qposadr[joint])
+        velocity = int(self.model.jnt_dofadr[joint])
+        self.data.qpos[position : position + 7] = pose
+        self.data.qvel[velocity : velocity + 6] = 0.0
+
     def _hang(self, name: str, pose: np.ndarray) -> None:
         """Bring an articulated body to a pose (7,) in the world, at rest, with all others where they are."""
-        poses = np.array([self._world_pose(body) for body in self._articulated.values()])
-        poses[[*self._articulated].index(name)] = pose
+        poses = np.array([self._world_pose(body) for body in self._parts.articulated.values()])
+        poses[[*self._parts.articulated].index(name)] = pose
         self._solver.solve(self.data, poses)
         self.data.qvel[self._solver.dofs] = 0.0
 
@@ -297,7 +304,7 @@ class MujocoSimulator:
         """Apply an action (A,) in [-1, 1] for one control step.
 
         Raises:
-            PwmGymError: the action is of another size, or the simulation diverged.
+            PwmGymError: the action is of another size, a control is no number, or the simulation diverged.
         """
         action = np.asarray(action, dtype=np.float32)
         if action.shape != (self.action_size,):
@@ -317,13 +324,11 @@ class MujocoSimulator:
     def _check_finite(self) -> None:
         import mujoco
 
-        warnings = [self.data.warning[int(getattr(mujoco.mjtWarning, name))] for name in _DIVERGED]
-        for warning in warnings:
+        for name in WARNINGS:
+            warning = self.data.warning[int(getattr(mujoco.mjtWarning, name))]
             if warning.number:
-                dof = min(int(warning.lastinfo), self.model.nv - 1)
-                body = self.model.body(int(self.model.dof_bodyid[dof])).name
                 warning.number = 0
-                raise PwmGymError(f"the simulation diverged: body {body!r} moves beyond all bounds or is not a number")
+                raise PwmGymError(warned(self.model, name, int(warning.lastinfo)))
 
     def outcome(self) -> SimOutcome:
         """Reward, success and grasp of the present instant."""
@@ -378,8 +383,8 @@ class MujocoSimulator:
 
     def joints(self) -> np.ndarray:
         """Joint positions and velocities (2, J) float32: radians (sliding joints: metres), and these a control step."""
-        positions = self.data.qpos[self.model.jnt_qposadr[self._robot]]
-        speeds = self.data.qvel[self.model.jnt_dofadr[self._robot]] * self.world.period
+        positions = self.data.qpos[self.model.jnt_qposadr[self._parts.joints]]
+        speeds = self.data.qvel[self.model.jnt_dofadr[self._parts.joints]] * self.world.period
         return np.stack([positions, speeds]).astype(np.float32)
 
     def close(self) -> None:

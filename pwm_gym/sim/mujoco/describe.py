@@ -15,7 +15,9 @@ from pwm_gym.scene import Layout, Support
 from pwm_gym.scene.joint import FIXED, FREE, Joint, JointKind, Mimic, Pose7
 from pwm_gym.scene.poses import relative, rotation
 from pwm_gym.sim.mujoco.adapter import MujocoSimulator
-from pwm_gym.sim.mujoco.structure import Hanging, hanging, joint_type
+from pwm_gym.sim.mujoco.couplings import check_couplings
+from pwm_gym.sim.mujoco.meshes import collides
+from pwm_gym.sim.mujoco.structure import Hanging, hanging, joint_type, label, moves
 from pwm_gym.sim.mujoco.worlds import XmlWorld
 
 __all__ = ["layout_of", "robot_of"]
@@ -58,17 +60,20 @@ def robot_of(simulator: MujocoSimulator, name: str, channels: Sequence[Channel] 
 def layout_of(simulator: MujocoSimulator, points: int = 300) -> Layout:
     """The entities of a simulator's model, how they hang on each other, and what they may lie on.
 
-    Planes and boxes that are fixed to the world and belong to no entity are supports, where they can be touched.
+    Planes and boxes that are fixed to the world and belong to no entity are supports, where they can be touched. Of the
+    robot, links that can be touched may be left out: its joints place them.
 
     Args:
         simulator: of the model.
         points: of each entity.
 
     Raises:
-        PwmGymError: an entity that hangs on several joints, which are not those of a free body, or something else
-            than a plane or a box of the world that can be touched and belongs to no entity.
+        PwmGymError: an entity that hangs on several joints, which are not those of a free body, or something that can
+            be touched, belongs to no entity and is neither a plane or a box of the world nor part of the robot, or
+            something that couples entities without a touch and is no linear equality of joints.
     """
     names = simulator.assets()
+    check_couplings(simulator.model, simulator.robot_bodies)
     return Layout.build(
         [(name, points) for name in names],
         driven=[name for name in names if name in simulator.links],
@@ -120,7 +125,7 @@ def _joint(simulator: MujocoSimulator, name: str, place: Hanging, entities: dict
     kinds = [int(model.jnt_type[k]) for k in place.joints]
     parent = None if place.parent is None else entities[place.parent]
     if not kinds and parent is None:
-        return FIXED
+        return FREE if moves(model, simulator.body_id(name)) else FIXED  # a mocap body goes anywhere
     if not kinds:
         origin, _ = _origin(simulator, name, parent, None)
         return Joint("fixed", parent, origin)
@@ -190,11 +195,12 @@ def _supports(simulator: MujocoSimulator) -> Iterable[Support]:
     model, data = simulator.model, simulator.data
     owned = simulator.geoms()
     for geom in range(model.ngeom):
-        fixed = not model.body_weldid[model.geom_bodyid[geom]]
-        touched = model.geom_contype[geom] or model.geom_conaffinity[geom]
-        kind = int(model.geom_type[geom])
-        if geom in owned or not (fixed and touched):
+        body = int(model.geom_bodyid[geom])
+        if geom in owned or body in simulator.robot_bodies or not collides(model, geom):
             continue
+        if moves(model, body):
+            raise PwmGymError(_no_entity(model, geom))
+        kind = int(model.geom_type[geom])
         turn = np.zeros(4)
         mujoco.mju_mat2Quat(turn, data.geom_xmat[geom])
         pose = np.r_[data.geom_xpos[geom], turn]
@@ -208,14 +214,22 @@ def _supports(simulator: MujocoSimulator) -> Iterable[Support]:
         yield Support((x, y, z, *rest), tuple(half.tolist()))
 
 
+def _no_entity(model: Any, geom: int) -> str:
+    body = label(model.body(int(model.geom_bodyid[geom])))
+    return (
+        f"geom {label(model.geom(geom))} of body {body} can be touched and moves, and is part neither of an entity nor "
+        "of the robot; expected its body among the entities"
+    )
+
+
 def _no_support(model: Any, geom: int) -> str:
     import mujoco
 
-    name = model.geom(geom).name or f"number {geom}"
-    body = model.body(int(model.geom_bodyid[geom])).name
+    name = label(model.geom(geom))
+    body = label(model.body(int(model.geom_bodyid[geom])))
     if model.geom_type[geom] == int(mujoco.mjtGeom.mjGEOM_HFIELD):
-        return f"geom {name!r} of body {body!r} is a height field, which is not supported; expected planes and boxes"
+        return f"geom {name} of body {body} is a height field, which is not supported; expected planes and boxes"
     return (
-        f"geom {name!r} of body {body!r} can be touched and is neither a plane nor a box; expected its body among the "
+        f"geom {name} of body {body} can be touched and is neither a plane nor a box; expected its body among the "
         "entities"
     )

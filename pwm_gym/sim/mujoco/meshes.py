@@ -15,7 +15,7 @@ from pwm_gym.scene.se3 import matrix_from_pose7
 if TYPE_CHECKING:
     import trimesh
 
-__all__ = ["body_mesh", "welded"]
+__all__ = ["body_mesh", "collides", "welded"]
 
 _AT_ORIGIN = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
 
@@ -57,7 +57,7 @@ def body_mesh(model: Any, body: int, others: Collection[int] = (), visual: bool 
     parts = []
     for number, place in welded(model, body, others):
         for geom in np.flatnonzero(model.geom_bodyid == number).tolist():
-            if _collides(model, geom) != visual and model.geom_type[geom] != _kind("PLANE"):
+            if collides(model, geom) != visual and model.geom_type[geom] != _kind("PLANE"):
                 mesh = _geom_mesh(model, geom, hull=not visual)
                 pose = compose(place, np.r_[model.geom_pos[geom], model.geom_quat[geom]])
                 mesh.apply_transform(matrix_from_pose7(torch.as_tensor(pose)).numpy())
@@ -70,7 +70,8 @@ def body_mesh(model: Any, body: int, others: Collection[int] = (), visual: bool 
     return trimesh.util.concatenate(parts)
 
 
-def _collides(model: Any, geom: int) -> bool:
+def collides(model: Any, geom: int) -> bool:
+    """Whether a geom can be touched."""
     paired = geom in model.pair_geom1 or geom in model.pair_geom2
     return bool(paired or model.geom_contype[geom] or model.geom_conaffinity[geom])
 
@@ -104,9 +105,9 @@ def _geom_mesh(model: Any, geom: int, hull: bool) -> trimesh.Trimesh:
         return mesh
     name = model.geom(geom).name or f"number {geom}"
     owner = model.body(int(model.geom_bodyid[geom])).name
+    told = {_kind("HFIELD"): "a height field", _kind("SDF"): "a signed distance field"}.get(kind, f"of type {kind}")
     raise SceneError(
-        f"geom {name!r} of body {owner!r} is of type {kind}; expected a mesh, box, sphere, ellipsoid, cylinder or "
-        "capsule"
+        f"geom {name!r} of body {owner!r} is {told}; expected a mesh, box, sphere, ellipsoid, cylinder or capsule"
     )
 
 

@@ -12,7 +12,7 @@ from pwm_gym.errors import SceneError
 from pwm_gym.scene import within_limits
 from pwm_gym.scene.poses import rotation
 
-__all__ = ["JointSolver", "place_mocaps", "set_free_velocity"]
+__all__ = ["JointSolver", "set_free_velocity"]
 
 _STEPS = 30  # of Gauss-Newton; a single joint needs one, a chain with loops a handful
 _SOLVED = 1e-12  # metres and radians of a step that ends it
@@ -141,43 +141,3 @@ def _scalar_dofs(model: Any) -> set[int]:
 
     scalar = (int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HINGE))
     return {int(model.jnt_dofadr[k]) for k in range(model.njnt) if model.jnt_type[k] in scalar}
-
-
-def place_mocaps(model: Any, data: Any) -> None:
-    """Put each mocap body that is welded to another one where the weld is satisfied."""
-    import mujoco
-
-    mujoco.mj_kinematics(model, data)
-    for k in np.flatnonzero(model.eq_type == int(mujoco.mjtEq.mjEQ_WELD)):
-        if model.eq_objtype[k] != int(mujoco.mjtObj.mjOBJ_BODY):
-            continue
-        first, second = int(model.eq_obj1id[k]), int(model.eq_obj2id[k])
-        if model.body_mocapid[first] >= 0:
-            _place_mocap(model, data, first, _first_of_weld(data, second, model.eq_data[k]))
-        elif model.body_mocapid[second] >= 0:
-            _place_mocap(model, data, second, _second_of_weld(data, first, model.eq_data[k]))
-
-
-def _place_mocap(model: Any, data: Any, body: int, pose: tuple[np.ndarray, Rotation]) -> None:
-    mocap = model.body_mocapid[body]
-    data.mocap_pos[mocap] = pose[0]
-    data.mocap_quat[mocap] = pose[1].as_quat(scalar_first=True)
-
-
-def _weld(constants: np.ndarray) -> tuple[np.ndarray, np.ndarray, Rotation]:
-    """Anchor (3,) in the second body; the second body's anchor point and turn in the first one."""
-    return constants[:3], constants[3:6], Rotation.from_quat(constants[6:10], scalar_first=True)
-
-
-def _first_of_weld(data: Any, second: int, constants: np.ndarray) -> tuple[np.ndarray, Rotation]:
-    anchor, place, turn = _weld(constants)
-    turned = Rotation.from_quat(data.xquat[second], scalar_first=True)
-    own = turned * turn.inv()
-    return data.xpos[second] + turned.apply(anchor) - own.apply(place), own
-
-
-def _second_of_weld(data: Any, first: int, constants: np.ndarray) -> tuple[np.ndarray, Rotation]:
-    anchor, place, turn = _weld(constants)
-    turned = Rotation.from_quat(data.xquat[first], scalar_first=True)
-    own = turned * turn
-    return data.xpos[first] + turned.apply(place) - own.apply(anchor), own

@@ -10,7 +10,8 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from pwm_gym.errors import PwmGymError
+from pwm_gym.errors import PwmGymError, check_whole
+from pwm_gym.sim.mujoco.structure import label
 
 __all__ = ["RoboticsWorld", "SetsControls", "World", "XmlWorld", "make_environment"]
 
@@ -75,7 +76,8 @@ class XmlWorld:
 
     Raises:
         FileNotFoundError: there is no such file.
-        PwmGymError: MuJoCo cannot read it, or some actuator has no range and ``act`` is not given.
+        PwmGymError: MuJoCo cannot read it, a size is no whole number, or without ``act`` some actuator has no range or
+            there is another number of them.
     """
 
     def __init__(
@@ -88,12 +90,16 @@ class XmlWorld:
     ) -> None:
         import mujoco
 
-        if frame_skip < 1:
-            raise PwmGymError(f"frame_skip={frame_skip}; expected 1 or more")
+        frame_skip = check_whole("frame_skip", frame_skip, 1)
         self.model = _load(xml)
         self.data = mujoco.MjData(self.model)
         self.period = float(self.model.opt.timestep) * frame_skip
-        self.action_size = int(self.model.nu) if action_size is None else action_size
+        size = int(self.model.nu) if action_size is None else check_whole("action_size", action_size, 0)
+        if act is None and size != self.model.nu:
+            raise PwmGymError(
+                f"action_size={size}; expected {self.model.nu}, one for each actuator, or a function `act`"
+            )
+        self.action_size = size
         self.direct = act is None
         """Whether actions span the actuators' ranges."""
         self._act = self._spread if act is None else act
@@ -114,11 +120,18 @@ class XmlWorld:
         return low + 0.5 * (action + 1.0) * (high - low)
 
     def reset(self, seed: int) -> None:
-        """Start the episode of ``seed``."""
+        """Start the episode of ``seed``.
+
+        Raises:
+            PwmGymError: ``start`` returns no goal.
+        """
         self.clear()
         if self._start is not None:
-            goal = self._start(self.model, self.data, np.random.default_rng(seed))
-            self._goal = np.zeros(0) if goal is None else np.asarray(goal, float)
+            found = self._start(self.model, self.data, np.random.default_rng(seed))
+            goal = np.zeros(0) if found is None else _numbers(found)
+            if goal is None or goal.ndim != 1:
+                raise PwmGymError(f"`start` returned {found!r}; expected a goal (G,) or None")
+            self._goal = goal
 
     def clear(self) -> None:
         """Go to the first keyframe, or else to the model's reference."""
@@ -137,8 +150,23 @@ class XmlWorld:
         mujoco.mj_step(self.model, self.data, nstep=self.frame_skip)
 
     def drive(self, action: np.ndarray) -> None:
-        """Set the actuators' controls for an action (A,) in [-1, 1]."""
-        self.data.ctrl[:] = self._act(self.model, self.data, action)
+        """Set the actuators' controls for an action (A,) in [-1, 1].
+
+        Raises:
+            PwmGymError: ``act`` returns something else than a finite number for each.
+        """
+        self.data.ctrl[:] = self._controls(self._act(self.model, self.data, action))
+
+    def _controls(self, found: Any) -> np.ndarray:
+        """What ``act`` returned as controls (nu,); None stands for those of no actuators."""
+        size = int(self.model.nu)
+        controls = np.zeros(0) if found is None and not size else _numbers(found)
+        if controls is None or controls.shape != (size,):
+            raise PwmGymError(f"`act` returned {found!r}; expected controls ({size},), one for each actuator")
+        for k in np.flatnonzero(~np.isfinite(controls)).tolist():
+            name = label(self.model.actuator(k))
+            raise PwmGymError(f"the control of actuator {name} is {controls[k]}; expected a finite number")
+        return controls
 
     def settle(self) -> None:
         """Nothing: the model's steps are all."""
@@ -214,6 +242,14 @@ class RoboticsWorld:
             self.env = None
 
 
+def _numbers(found: Any) -> np.ndarray | None:
+    """What a user's function returned as an array of numbers; None where it is something else."""
+    try:
+        return None if found is None else np.array(found, float)
+    except (TypeError, ValueError):
+        return None
+
+
 def _load(xml: str | Path) -> Any:
     import mujoco
 
@@ -225,7 +261,21 @@ def _load(xml: str | Path) -> Any:
             return mujoco.MjModel.from_xml_string(xml)
         return mujoco.MjModel.from_xml_path(str(xml))
     except ValueError as error:
-        raise PwmGymError(f"MuJoCo cannot read the model: {error}") from error
+        raise PwmGymError(f"MuJoCo cannot read the model: {error}{_whose_file(xml, text, str(error))}") from error
+
+
+def _whose_file(xml: str | Path, text: bool, complaint: str) -> str:
+    """Which asset has the file that MuJoCo complains of, in words; nothing where it complains of none."""
+    import mujoco
+
+    try:
+        spec = mujoco.MjSpec.from_string(xml) if text else mujoco.MjSpec.from_file(str(xml))
+    except ValueError:
+        return ""
+    assets = {"mesh": spec.meshes, "height field": spec.hfields, "texture": spec.textures}
+    named = [(len(a.file), kind, a.name) for kind, group in assets.items() for a in group if a.file in complaint]
+    length, kind, name = max(named, default=(0, "", ""))  # "a.stl" is in what is said of "data.stl", too
+    return f"; it is the file of {kind} {name!r}" if length else ""
 
 
 def make_environment(env_id: str) -> Any:
