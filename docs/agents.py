@@ -9,8 +9,9 @@ from formatting import ROOT, SUCCESS_HEAD, grid, paragraph, read, section, sourc
 from pwm_gym.evaluation.ranking import measure_text
 
 _LEARNED = {
-    "PickCube, PPO in the model": "agent_pick_cube_ppo",
-    "the same in the simulator": "agent_pick_cube_ppo_sim",
+    "PickCube, PPO in the model, 256 environments": "agent_pick_cube_ppo_256",
+    "1,024 environments": "agent_pick_cube_ppo",
+    "PickCube, PPO in the simulator for an hour": "agent_pick_cube_ppo_sim",
     "StackCube, PPO in the model, from starts in demonstrations": "agent_stack_cube_ppo",
     "the same with a caution of 1": "agent_stack_cube_careful",
     "which goes on in a model that saw its episodes": "agent_stack_cube_further",
