@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -71,7 +71,7 @@ def rank_policies(
     return {**table, "success": _paired([*policies], told, real)}
 
 
-def _paired(names: Sequence[str], told: Sequence[Any], real: Sequence[Any]) -> dict[str, dict[str, str]]:
+def _paired(names: Sequence[str], told: Iterable[Any], real: Iterable[Any]) -> dict[str, dict[str, str]]:
     """Each policy's success in both worlds, a digit a scene."""
     rows = zip(names, told, real, strict=True)
     return {name: {"model": _digits(one), "simulator": _digits(other)} for name, one, other in rows}
