@@ -83,12 +83,18 @@ class Import:
     split_seed: int = 0
     """Of demonstrations: seed of the draw that parts them into training, validation and test."""
 
+    follow: bool = False
+    """Of demonstrations: put positions back to the recorded ones after each step, where another version of MuJoCo
+    recorded them: what strays is then a single step alone."""
+
     def run(self) -> None:
         """Write it, and print where it is."""
         from pwm_gym.data.minari_format import import_minari
 
         task = self.task or None
-        folder = import_minari(self.id, self.out, task, self.download, True, self.tolerance, self.split_seed)
+        folder = import_minari(
+            self.id, self.out, task, self.download, True, self.tolerance, self.split_seed, self.follow
+        )
         print(f"data set: {folder}")
         self._tell_replay()
 

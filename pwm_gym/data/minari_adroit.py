@@ -28,7 +28,13 @@ from pwm_gym.seeds import RANGES
 from pwm_gym.sim import SimOutcome
 from pwm_gym.sim.mujoco.adapter import MujocoSimulator
 from pwm_gym.sim.mujoco.adroit import AdroitWorld
-from pwm_gym.sim.mujoco.adroit_starts import JointState, start_door, start_relocate
+from pwm_gym.sim.mujoco.adroit_starts import (
+    JointState,
+    correct_door,
+    correct_relocate,
+    start_door,
+    start_relocate,
+)
 from pwm_gym.tasks import Task, get_task
 
 __all__ = ["ENVIRONMENTS", "TOLERANCE", "environment_of", "import_adroit"]
@@ -47,13 +53,15 @@ class _Environment:
     task: str
     start: Callable[[AdroitWorld, np.ndarray, JointState | None], None]
     """(world, first observation, its joints): go there."""
+    correct: Callable[[AdroitWorld, np.ndarray], None]
+    """(world, observation after the step just made): go there."""
     continuous: int
     """Components of an observation that come before those which jump."""
 
 
 ENVIRONMENTS: Mapping[str, _Environment] = {
-    "AdroitHandDoor-v1": _Environment("AdroitHandDoor", start_door, 38),
-    "AdroitHandRelocate-v1": _Environment("AdroitHandRelocate", start_relocate, _OBSERVED),
+    "AdroitHandDoor-v1": _Environment("AdroitHandDoor", start_door, correct_door, 38),
+    "AdroitHandRelocate-v1": _Environment("AdroitHandRelocate", start_relocate, correct_relocate, _OBSERVED),
 }
 """Gymnasium id -> how its data sets are read."""
 
@@ -71,6 +79,7 @@ def import_adroit(
     tolerance: float = TOLERANCE,
     split_seed: int = 0,
     progress: bool = False,
+    follow: bool = False,
 ) -> list[str]:
     """Replay a data set of one of :data:`ENVIRONMENTS`, and write what came of it.
 
@@ -84,6 +93,8 @@ def import_adroit(
         tolerance: metres and radians by which no component of an observation may stray at any step.
         split_seed: of the draw that parts episodes into training (eight tenths), validation and test.
         progress: whether to show a bar.
+        follow: whether positions are put back to the recorded ones after each step, so that an episode strays only
+            where a single step does.
 
     Returns:
         Splits that were written.
@@ -97,7 +108,7 @@ def import_adroit(
     known = get_task(environment.task)
     simulator: Any = known.make_simulator()  # a MujocoSimulator of an AdroitWorld
     try:
-        episodes = _replayed(source, dataset_id, _Replay(environment, simulator, tolerance), progress)
+        episodes = _replayed(source, dataset_id, _Replay(environment, simulator, tolerance, follow), progress)
         clouds = _clouds(simulator, known)
     finally:
         simulator.close()
@@ -108,6 +119,7 @@ def import_adroit(
         "left_out": len(episodes) - len(kept),
         "tolerance": tolerance,
         "split_seed": split_seed,
+        "follow": follow,
     }
     settings = {"task": known.name, "imported": dataset_id, "replay": replay}
     by_split = _draw_splits(kept, split_seed)
@@ -261,6 +273,7 @@ class _Replay:
     environment: _Environment
     simulator: MujocoSimulator
     tolerance: float
+    follow: bool
 
     @property
     def _world(self) -> Any:
@@ -281,6 +294,9 @@ class _Replay:
                 return None
             if self._strays(observation):
                 return None
+            if self.follow:
+                self.environment.correct(self._world, observation)
+                outcomes[-1] = simulator.outcome()
             poses.append(simulator.poses())
             joints.append(simulator.joints())
         return self._episode(recorded, goal, poses, joints, outcomes)

@@ -177,6 +177,7 @@ def import_minari(
     progress: bool = False,
     tolerance: float = TOLERANCE,
     split_seed: int = 0,
+    follow: bool = False,
 ) -> Path:
     """Write the episodes of a Minari data set into a folder that training accepts.
 
@@ -191,6 +192,7 @@ def import_minari(
         progress: whether to show a bar.
         tolerance: of demonstrations: metres and radians by which a replay may stray from its recording.
         split_seed: of demonstrations: of the draw that parts them into training, validation and test.
+        follow: of demonstrations: whether positions are put back to the recorded ones after each step.
 
     Raises:
         DatasetError: it is not there, foreign, damaged, of another task, schema or action size, or ``folder`` is taken.
@@ -198,7 +200,7 @@ def import_minari(
     with new_folder(Path(folder), DatasetError) as root:
         source = load_source(dataset_id, download)
         if environment_of(source) in ENVIRONMENTS:
-            splits = import_adroit(source, dataset_id, root, task, tolerance, split_seed, progress)
+            splits = import_adroit(source, dataset_id, root, task, tolerance, split_seed, progress, follow)
         else:
             splits = _import_exported(source, dataset_id, root, task, progress)
         for split in splits:

@@ -143,7 +143,7 @@ def test_episodes_start_where_they_were_recorded_and_are_replayed(env_id, start,
     same_start(env_id, states, episodes)
     recorded = {np.clip(data.actions, -1.0, 1.0).tobytes() for data in minari.load_dataset(ID)}
     assert {episode.actions.tobytes() for episode in episodes} == recorded
-    replay = {"recorded": EPISODES, "left_out": 0, "tolerance": 1e-6, "split_seed": 0}
+    replay = {"recorded": EPISODES, "left_out": 0, "tolerance": 1e-6, "split_seed": 0, "follow": False}
     settings = {"task": ENVIRONMENTS[env_id], "imported": ID, "replay": replay}
     assert read_header(folder).settings == settings
 
@@ -211,6 +211,18 @@ def test_replayed_demonstrations_succeed_as_recorded_ones_did(tmp_path, capsys):
     episodes = imported(tmp_path / "data")
     assert all(episode.success[-1] and episode.success.sum() == 1 for episode in episodes)
     assert len({episode.seed for episode in episodes}) == 3
+
+
+def test_followed_episodes_keep_to_the_recorded_positions(env_id, tmp_path):
+    record(env_id, "options", resets=False)  # in motion, which replays do not know
+    folder, data = import_minari(ID, tmp_path / "data", tolerance=1.0, follow=True), minari.load_dataset(ID)
+    loose = imported(import_minari(ID, tmp_path / "loose", tolerance=1.0))
+    hand = slice(0, 27) if "Door" in env_id else slice(0, 30)
+    for episodes, near in ((imported(folder), True), (loose, False)):
+        for episode in episodes:
+            row = min(data, key=lambda d: np.abs(d.actions.clip(-1, 1) - episode.actions).max())
+            joints = episode.joints[:, 0, 1:] if "Door" in env_id else episode.joints[:, 0]
+            assert np.allclose(joints, row.observations[:, hand], atol=1e-6) == near
 
 
 def test_the_draw_of_the_splits_is_seeded(tmp_path):

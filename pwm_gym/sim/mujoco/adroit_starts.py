@@ -12,7 +12,7 @@ import numpy as np
 
 from pwm_gym.sim.mujoco.adroit import AdroitWorld
 
-__all__ = ["JointState", "start_door", "start_relocate"]
+__all__ = ["JointState", "correct_door", "correct_relocate", "start_door", "start_relocate"]
 
 # Of the door's observation (39,); its last component is the sign of an open door
 _DOOR_HAND = slice(0, 27)  # all joints of the hand but the first, the arm's slide
@@ -79,3 +79,49 @@ def start_relocate(world: AdroitWorld, observation: np.ndarray, joints: JointSta
     ball = palm - observation[_PALM_FROM_BALL] - data.body("Object").xpos
     target = palm - observation[_PALM_FROM_TARGET]
     world.show(joints.positions, joints.velocities, obj_pos=ball, target_pos=target)
+
+
+def correct_door(world: AdroitWorld, observation: np.ndarray) -> None:
+    """Move the joints by what an observation (39,) differs from the world's own; velocities stay.
+
+    To first order in the difference: it is what a single step went wrong by.
+    """
+    model, data = world.model, world.data
+    difference = observation - world.observation
+    way = np.zeros(model.nv)
+    way[1 : model.nv - 2] = difference[_DOOR_HAND]
+    way[model.joint("door_hinge").dofadr] = difference[_DOOR_HINGE]
+    way[model.joint("latch").dofadr] = difference[_DOOR_LATCH]
+    rest = difference[_DOOR_PALM] - _palm_jacobian(world) @ way
+    way[model.joint("ARTz").dofadr] = data.joint("ARTz").xaxis @ rest
+    _move(world, way)
+
+
+def correct_relocate(world: AdroitWorld, observation: np.ndarray) -> None:
+    """Move the joints by what an observation (39,) differs from the world's own; velocities and the ball's turn stay.
+
+    To first order in the difference: it is what a single step went wrong by.
+    """
+    difference = observation - world.observation
+    way = np.zeros(world.model.nv)
+    way[_BALL_HAND] = difference[_BALL_HAND]
+    ball = world.model.joint("OBJTx").dofadr[0]
+    way[ball : ball + 3] = _palm_jacobian(world) @ way - difference[_PALM_FROM_BALL]
+    _move(world, way)
+
+
+def _palm_jacobian(world: AdroitWorld) -> np.ndarray:
+    """Way (3, nv) of the palm, metres, for each joint's radian or metre."""
+    import mujoco
+
+    jacobian = np.zeros((3, world.model.nv))
+    mujoco.mj_jacSite(world.model, world.data, jacobian, None, world.model.site("S_grasp").id)
+    return jacobian
+
+
+def _move(world: AdroitWorld, way: np.ndarray) -> None:
+    """Add to the joints' positions (nq,); all are slides and hinges."""
+    import mujoco
+
+    world.data.qpos[:] += way
+    mujoco.mj_forward(world.model, world.data)
