@@ -82,7 +82,6 @@ class Import:
     """Of demonstrations: metres and radians by which a replay may stray from its recording, or else is left out."""
     split_seed: int = 0
     """Of demonstrations: seed of the draw that parts them into training, validation and test."""
-
     follow: bool = False
     """Of demonstrations: put positions back to the recorded ones after each step, where another version of MuJoCo
     recorded them: what strays is then a single step alone."""
@@ -92,9 +91,8 @@ class Import:
         from pwm_gym.data.minari_format import import_minari
 
         task = self.task or None
-        folder = import_minari(
-            self.id, self.out, task, self.download, True, self.tolerance, self.split_seed, self.follow
-        )
+        replay = {name: getattr(self, name) for name in ("tolerance", "split_seed", "follow")}
+        folder = import_minari(self.id, self.out, task, self.download, progress=True, **replay)
         print(f"data set: {folder}")
         self._tell_replay()
 
