@@ -149,7 +149,7 @@ def twin_record(run: Run, predicted: str) -> TwinRecord:
         goal=start.goal if len(start.goal) == 3 else None,  # a place, where the task has one
         predicted_reward=np.array([run.predicted_rewards[0], *run.predicted_rewards]),
         true_reward=np.array([run.rewards[0], *run.rewards]),
-        title=f"{start.task}: planned in the world model, executed in the simulator",
+        title=f"{start.task}: planned in the model, run in the simulator",
         subtitle=f"seed {run.seed}; {predicted}",
         stages=(run.stages[0], *run.stages) if run.stages else (),
     )
