@@ -105,7 +105,7 @@ _PLAN_MODES = {
     "open": "open loop",
     "completed": "completed clouds, closed loop",
     "completed_open": "completed clouds, open loop",
-    "guided": "chunks of 5, plans start from the cloned policy's",
+    "guided": "closed loop, plans start from the cloned policy's",
 }
 _INTRO = """# Results
 
