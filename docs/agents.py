@@ -74,6 +74,26 @@ def _model_took(training: dict[str, Any]) -> str:
     return f"{training['model_minutes']:.0f} min, {training['model_data_steps']:,} steps"
 
 
+def in_short() -> str:
+    """What README tells of agents and rankings."""
+    own, real, table = (read(name) for name in ("agent_pick_cube_ppo_256", "agent_pick_cube_ppo_sim", "rank_pick_cube"))
+    if own is None or real is None or table is None:
+        return ""
+    rates = [row["simulator"] for row in table["rows"]]
+    floor = table["floor"]
+    return paragraph(
+        f"An agent that learned inside the PickCube model alone (PPO, {_took(own['training'])}, one thread) solves",
+        f"{own['successes']} of {own['episodes']} episodes in the simulator; the same algorithm in the simulator",
+        f"itself solves {real['successes']} after {real['training']['seconds'] / 60:.0f} minutes",
+        "([commands and cost](docs/results.md#agents-trained-inside-the-model)).",
+        f"{table['policies']} policies, from {100 * min(rates):.0f} to {100 * max(rates):.0f} % success in the",
+        f"simulator, stand in nearly the same order in the model: Pearson's r {table['pearson']['value']:.3f}, rank",
+        f"violation {table['mmrv']['value']:.3f}; the simulator against itself, from other scenes,",
+        f"{floor['pearson']['value']:.3f} and {floor['mmrv']['value']:.3f}",
+        "([command and rates](docs/results.md#ranking-of-policies-pickcube)).",
+    )
+
+
 def ranked() -> str:
     """Success of policies in the model beside their success in the simulator."""
     parts = []
@@ -125,7 +145,7 @@ def guided() -> str:
     """Planning with few samples, from a policy's plans and without."""
     rows, sources = [], []
     for task, stem in _GUIDED.items():
-        for start, name in {"the policy": f"plan_{stem}_few_guided", "the last plan": f"plan_{stem}_few"}.items():
+        for start, name in {"the policy": f"guided_{stem}", "the last plan": f"unguided_{stem}"}.items():
             if (result := read(name)) is not None:
                 rows.append([f"{task}, {result['settings']['samples']} samples", start, *success(result)])
                 sources.append(source(name, result))

@@ -1,12 +1,13 @@
-"""Write the tables of README.md from the registry and the results: python docs/generate_readme.py.
+"""Write the tables and figures of README.md from the registry and the results: python docs/generate_readme.py.
 
-The rest of README.md is written by hand; a table stands between two comments that name it.
+The rest of README.md is written by hand; what is written here stands between two comments that name it.
 """
 
 from __future__ import annotations
 
 import re
 
+from agents import in_short
 from formatting import ROOT, grid
 from glance import HEADLINE_HEAD, headline
 from task_parts import trained_on
@@ -17,14 +18,15 @@ PAGE = ROOT / "README.md"
 
 
 def page() -> str:
-    """README.md with its tables as they should be."""
+    """README.md with its tables and figures as they should be."""
     text = PAGE.read_text()
-    for name, table in (("environments", _environments()), ("results", grid(HEADLINE_HEAD, headline()))):
+    parts = {"environments": _environments(), "results": grid(HEADLINE_HEAD, headline()), "agents": in_short()}
+    for name, part in parts.items():
         begin, end = f"<!-- {name} -->\n", f"<!-- end of {name} -->"
-        block = f"{begin}\n{table}\n{end}"
+        block = f"{begin}\n{part}\n{end}"
         text, count = re.subn(f"{begin}.*{end}", lambda _, block=block: block, text, flags=re.S)
         if count != 1:
-            raise ValueError(f"README.md has {count} tables {name!r}; expected one between its two comments")
+            raise ValueError(f"README.md has {count} parts {name!r}; expected one between its two comments")
     return text
 
 

@@ -58,6 +58,8 @@ def _headline(plan: Measurement, rolled: Measurement | None) -> list[str]:
     told = plan.task if usual else f"{plan.task}, {plan.objects} objects"
     if plan.task not in trained_on(plan.task):
         told += ", never trained on"
+    if "guide" in plan.result:
+        told += ", plans start from a policy's"
     paper = measured.PAPER_SUCCESS.get(plan.task) if usual else None
     cells = [told, f"{plan.result['successes']} of {plan.result['episodes']}", f"{paper} %" if paper else "-"]
     cells.append(f"{plan.result['plan_seconds']['median']:.2f} s")

@@ -105,6 +105,8 @@ def plan_label(measurement: Measurement) -> str:
         parts.append(f"{measurement.objects} objects")
     if measurement.starts == "play":
         parts.append("starts in play")
+    if "guide" in result:
+        parts.append("plans start from a policy's")
     return ", ".join(parts)
 
 
