@@ -23,7 +23,9 @@ SCHEMA = 2
 """Of scenes, data sets and checkpoints; files of schema 1 (version 0.1) are read, too."""
 _FORMAT = "pwm_gym.scene"
 _REQUIRED = ("clouds", "poses", "goal")
-_SEEN = (0.1, 0.01)  # by which a part may seem beyond its limits to a camera: share of its range; metres or radians
+_SEEN = (0.25, 0.01)
+"""By which a part may seem beyond its limits, which a camera sees badly and MuJoCo's give way: share of its range; metres
+or radians."""
 _FIELDS = (*_REQUIRED, "joints", "last_action")
 
 

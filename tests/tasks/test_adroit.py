@@ -102,6 +102,21 @@ def place_door(twin, opened, turned):
     twin.reset(options={"scene": replace(twin.scene(truth=True), poses=poses, joints=simulator.joints())})
 
 
+def test_a_latch_may_be_pressed_past_its_soft_limit(twins):
+    twin, task = twins["AdroitHandDoor"], get_task("AdroitHandDoor")
+    twin.reset(seed=3)
+    first = twin.scene(truth=True)
+
+    def scene(turned):
+        twin.simulator.data.joint("latch").qpos[0] = turned
+        twin.simulator._forward()
+        return replace(first, poses=np.stack([twin.simulator.poses()] * 3))
+
+    assert scene(2.04).validate(task.name, task.layout, task.goal_size)  # its limit is at 1.8
+    with pytest.raises(SceneError, match=r"the joint of 'latch' is at 2\.4"):
+        scene(2.4).validate(task.name, task.layout, task.goal_size)
+
+
 @pytest.mark.parametrize(("opened", "turned"), [(0.0, 0.0), (0.3, 1.6), (1.1, 0.8), (1.45, 1.8)])
 def test_clouds_tell_the_door_its_latch_and_the_palm(twins, opened, turned):
     twin = twins["AdroitHandDoor"]
