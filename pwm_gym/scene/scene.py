@@ -24,8 +24,8 @@ SCHEMA = 2
 _FORMAT = "pwm_gym.scene"
 _REQUIRED = ("clouds", "poses", "goal")
 _SEEN = (0.25, 0.01)
-"""By which a part may seem beyond its limits, which a camera sees badly and MuJoCo's give way: share of its range; metres
-or radians."""
+"""By which a part may seem beyond its limits (a camera sees it badly, or MuJoCo's soft limits give way): share of its
+range; metres or radians."""
 _FIELDS = (*_REQUIRED, "joints", "last_action")
 
 
