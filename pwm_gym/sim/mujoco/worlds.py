@@ -111,8 +111,8 @@ class XmlWorld:
     def _check_ranges(self) -> None:
         for k in range(self.model.nu):
             if not self.model.actuator_ctrllimited[k]:
-                name = self.model.actuator(k).name or f"number {k}"
-                raise PwmGymError(f"actuator {name!r} has no ctrlrange; expected one, or a function `act`")
+                name = label(self.model.actuator(k))
+                raise PwmGymError(f"actuator {name} has no ctrlrange; expected one, or a function `act`")
 
     @staticmethod
     def _spread(model: Any, data: Any, action: np.ndarray) -> np.ndarray:
