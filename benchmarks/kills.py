@@ -108,7 +108,7 @@ JOBS: Mapping[str, Job] = {
         _steps,
     ),
     "complete": Job(
-        "complete --train --shapes 12 " + _LOOP.format(steps=12), _weights_of("checkpoint")
+        "complete train --shapes 12 " + _LOOP.format(steps=12), _weights_of("checkpoint")
     ),
     "plan": Job(
         "plan --episodes 4 --max-steps 12 --samples 32 --horizon 5 --threads 1 --save {out}/runs --json {out}/a.json",

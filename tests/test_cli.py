@@ -109,10 +109,12 @@ def test_an_unknown_command_lists_the_known_ones():
     assert failure("trian").endswith("assets. Did you mean 'train'?")
 
 
-@pytest.mark.parametrize(("command", "groups"), [("train", ("fit", "training")), ("complete", ("objects", "training"))])
+@pytest.mark.parametrize(
+    ("command", "groups"), [("train", ("fit", "training")), ("complete train", ("objects", "training"))]
+)
 def test_long_lists_of_options_are_grouped(command, groups, capsys):
     with pytest.raises(SystemExit):
-        main([command, "--help"])
+        main([*command.split(), "--help"])
     text = capsys.readouterr().out
     for group in groups:
         assert f"{group} options" in text
@@ -139,7 +141,7 @@ def test_long_lists_of_options_are_grouped(command, groups, capsys):
         (["demo", "--task", "Pick"], "unknown task 'Pick'"),
         (["collect", "--episodes", "-3"], "episodes=-3; expected at least 1"),
         (["collect", "--on-policy", "1", "--practice", "0", "--policy", "nowhere"], "unknown policy 'nowhere'"),
-        (["complete", "--evaluate"], "--evaluate has no objects to complete; expected --meshes FOLDER"),
+        (["complete", "evaluate", "--meshes", "nowhere"], "nowhere"),
         (["evaluate", "--table", "horizn"], "Did you mean 'horizon'"),
         (["evaluate", "--table", "shared"], "expected --checkpoints FOLDER"),
         (["plan", "--episodes", "0"], "--episodes 0; expected at least 1"),

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
+from pwm_gym.commands.numbers import check_least
 from pwm_gym.completion import CompletionTrainConfig, ObjectSet
 
 if TYPE_CHECKING:
@@ -22,72 +23,67 @@ _CELLS = ("chamfer", "partial", "hull", "floor", "centroid_percent", "better_tha
 
 
 @dataclass(frozen=True)
-class Complete:
-    """Train and measure the completion of partial clouds, or complete one view of a mesh.
+class Train:
+    """Train a network on generated shapes, and on ``--meshes`` if they are given.
 
-    ``torchrun --nproc-per-node 2 -m pwm_gym complete --train`` shares the training.
+    ``torchrun --nproc-per-node 2 -m pwm_gym complete train`` shares the training; a killed run goes on where it was.
     """
 
-    train: bool = False
-    """Train a network on generated shapes, and on ``--meshes`` if they are given."""
-    evaluate: bool = False
-    """Measure it on new views of the meshes, seen and held out, clean and with sensor and occlusion."""
-    mesh: Path | None = None
-    """A mesh to complete from one random view."""
-    checkpoint: str = "default"
-    """A folder, or "default" for the shipped one; after ``--train`` the trained one."""
     size: str = "compact"
-    """Network to train: compact or paper."""
+    """Network: compact or paper."""
     out: Path = Path("runs/completion")
     """Folder of the training."""
-    views: int = 20
-    """Views of each object in the evaluation."""
-    view_seed: int = 0
-    """Of the views that are evaluated, or of the one of ``--mesh``."""
-    pictures: Path | None = None
-    """Folder for galleries (PNG) of evaluated objects and of the worst of their views, or of ``--mesh``."""
-    json: Path | None = None
-    """Where to write the results of the evaluation."""
     objects: tyro.conf.OmitArgPrefixes[ObjectSet] = field(default_factory=ObjectSet)
     training: tyro.conf.OmitArgPrefixes[CompletionTrainConfig] = field(default_factory=CompletionTrainConfig)
 
     def run(self) -> None:
-        """Do what is asked for, one after the other."""
-        from pwm_gym.completion import LearnedCompleter, fit_completion, load_completion
-        from pwm_gym.errors import PwmGymError
+        """Train it, and print where it is."""
+        from pwm_gym.completion import fit_completion
         from pwm_gym.learning import is_main_process
         from pwm_gym.process import prepare_process
 
-        if not (self.train or self.evaluate or self.mesh):
-            raise PwmGymError("nothing to do; expected --train, --evaluate or --mesh FILE")
-        if self.evaluate and self.objects.meshes is None:
-            raise PwmGymError("--evaluate has no objects to complete; expected --meshes FOLDER")
         main = is_main_process()
         prepare_process(self.training.threads)
-        checkpoint = self.checkpoint
-        if self.train:
-            validate = _Validation(replace(self.objects, shapes=_VALIDATION, meshes=None))
-            checkpoint = str(fit_completion(self.objects, self.size, self.training, self.out, validate))
-            if not main:
-                return
+        validate = _Validation(replace(self.objects, shapes=_VALIDATION, meshes=None))
+        checkpoint = fit_completion(self.objects, self.size, self.training, self.out, validate)
+        if main:
             print(f"checkpoint: {checkpoint}")
-        if self.evaluate or self.mesh:
-            net, description = load_completion(checkpoint)
-            completer = LearnedCompleter(net)
-            if self.evaluate:
-                self._evaluate(completer, description)
-            if self.mesh:
-                self._complete(completer, self.mesh)
 
-    def _evaluate(self, completer: Completer, description: dict[str, Any]) -> None:
+
+@dataclass(frozen=True)
+class Evaluate:
+    """Measure a network on new views of meshes, seen and held out, clean and with sensor and occlusion."""
+
+    meshes: Path
+    """Folder, file or archive of meshes."""
+    held_out: tuple[str, ...] = ()
+    """Those of them that were not trained on."""
+    checkpoint: str = "default"
+    """A folder, or "default" for the shipped one."""
+    views: int = 20
+    """Views of each object."""
+    view_seed: int = 0
+    """Of the views."""
+    pictures: Path | None = None
+    """Folder for galleries (PNG) of objects and of the worst of their views."""
+    json: Path | None = None
+    """Where to write the results."""
+    threads: int = 2
+    """PyTorch threads."""
+
+    def run(self) -> None:
+        """Print the table, draw the galleries and write the results."""
         from pwm_gym.completion import Views
         from pwm_gym.evaluation import write_results
         from pwm_gym.evaluation.completion import evaluate_completion
         from pwm_gym.perception import clean
 
+        check_least(self, views=1, view_seed=0, threads=1)
+        objects = ObjectSet(shapes=0, meshes=self.meshes, held_out=self.held_out)
+        splits = {"seen": objects.read(), "unseen": objects.read(seen=False)}
+        completer, description = _load(self.checkpoint, self.threads)
         rows: dict[str, Any] = {}
-        for split, seen in (("seen", True), ("unseen", False)):
-            meshes = self.objects.read(seen)
+        for split, meshes in splits.items():
             if not meshes:
                 continue  # all objects are of the other split
             names = list(meshes)
@@ -98,42 +94,88 @@ class Complete:
                 if self.pictures is not None and name == _CLEAN:
                     first = [(n, 0) for n in names[:: -(-len(names) // _DRAWN)]]
                     worst = [(w["name"], w["view"]) for w in row["worst"]]
-                    self._gallery(completer, views, names, first, self.pictures / f"{split}.png")
-                    self._gallery(completer, views, names, worst, self.pictures / f"{split}_worst.png")
+                    for chosen, file in ((first, split), (worst, f"{split}_worst")):
+                        _gallery(completer, views, names, chosen, self.pictures / f"{file}.png", self.view_seed)
         _print(rows)
         if self.json is not None:
             write_results(self.json, {"checkpoint": description["training"], "views": self.views, "rows": rows})
 
-    def _complete(self, completer: Completer, path: Path) -> None:
+
+@dataclass(frozen=True)
+class View:
+    """Complete one random view of a mesh."""
+
+    mesh: Annotated[Path, tyro.conf.Positional]
+    """Its file."""
+    checkpoint: str = "default"
+    """A folder, or "default" for the shipped one."""
+    view_seed: int = 0
+    """Of the view."""
+    pictures: Path | None = None
+    """Folder for a picture (PNG) of what is seen, completed and true."""
+    threads: int = 2
+    """PyTorch threads."""
+
+    def run(self) -> None:
+        """Print how near the completed cloud is to the mesh, and draw it."""
         from pwm_gym.completion import Views, load_meshes, normalise
         from pwm_gym.evaluation.completion import evaluate_completion
 
-        meshes = {name: normalise(mesh) for name, mesh in load_meshes(path).items()}
+        check_least(self, view_seed=0, threads=1)
+        meshes = {name: normalise(mesh) for name, mesh in load_meshes(self.mesh).items()}
+        completer, _ = _load(self.checkpoint, self.threads)
         names, views = list(meshes), Views(list(meshes.values()), _conditions()[_CLEAN])
-        _print({path.stem: evaluate_completion(completer, views, names, 1, seed=self.view_seed)})
+        _print({self.mesh.stem: evaluate_completion(completer, views, names, 1, seed=self.view_seed)})
         if self.pictures is not None:
             chosen = [(name, 0) for name in names]
-            self._gallery(completer, views, names, chosen, self.pictures / f"{path.stem}.png")
+            _gallery(completer, views, names, chosen, self.pictures / f"{self.mesh.stem}.png", self.view_seed)
 
-    def _gallery(
-        self, completer: Completer, views: Views, names: list[str], chosen: list[tuple[str, int]], path: Path
-    ) -> None:
-        """Chosen views (object, number), each as it is seen, completed and true."""
-        import numpy as np
 
-        from pwm_gym.evaluation.completion import score_completion, view_of
-        from pwm_gym.scene import spread
-        from pwm_gym.viewer.gallery import GalleryRow, draw_gallery
+@dataclass(frozen=True)
+class Complete:
+    """Complete partial clouds: ``pwm-gym complete train``, ``complete evaluate`` and ``complete view``."""
 
-        rows = []
-        for name, number in chosen:
-            view, surface = view_of(views, names.index(name), number, self.view_seed)
-            truth, done = surface[:_SHOWN], completer(view.partial, np.zeros(3), _SHOWN).points
-            label = f"{name}: {1e3 * score_completion(done, truth).chamfer:.0f}"
-            rows.append(GalleryRow(label, (spread(view.partial, _SHOWN), done, truth)))
-        path.parent.mkdir(parents=True, exist_ok=True)
-        draw_gallery(rows, "seen, completed and true; Chamfer distance x 1000").save(path)
-        print(path)
+    action: Annotated[
+        Annotated[Train, tyro.conf.subcommand("train")]
+        | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
+        | Annotated[View, tyro.conf.subcommand("view")],
+        tyro.conf.arg(name=""),
+    ]
+
+    def run(self) -> None:
+        """Train, measure or complete."""
+        self.action.run()
+
+
+def _load(checkpoint: str, threads: int) -> tuple[Completer, dict[str, Any]]:
+    """A network that completes, and what its checkpoint tells of it."""
+    from pwm_gym.completion import LearnedCompleter, load_completion
+    from pwm_gym.process import prepare_process
+
+    prepare_process(threads)
+    net, description = load_completion(checkpoint)
+    return LearnedCompleter(net), description
+
+
+def _gallery(
+    completer: Completer, views: Views, names: list[str], chosen: list[tuple[str, int]], path: Path, seed: int
+) -> None:
+    """Chosen views (object, number), each as it is seen, completed and true."""
+    import numpy as np
+
+    from pwm_gym.evaluation.completion import score_completion, view_of
+    from pwm_gym.scene import spread
+    from pwm_gym.viewer.gallery import GalleryRow, draw_gallery
+
+    rows = []
+    for name, number in chosen:
+        view, surface = view_of(views, names.index(name), number, seed)
+        truth, done = surface[:_SHOWN], completer(view.partial, np.zeros(3), _SHOWN).points
+        label = f"{name}: {1e3 * score_completion(done, truth).chamfer:.0f}"
+        rows.append(GalleryRow(label, (spread(view.partial, _SHOWN), done, truth)))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    draw_gallery(rows, "seen, completed and true; Chamfer distance x 1000").save(path)
+    print(path)
 
 
 class _Validation:

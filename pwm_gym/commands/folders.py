@@ -20,8 +20,9 @@ def check_outputs(command: Any) -> None:
     Raises:
         WriteError: naming the file or folder.
     """
+    chosen = getattr(command, "action", command)  # of a command with commands of its own
     for name in (*_FILES, *_FOLDERS):
-        path = getattr(command, name, None)
+        path = getattr(chosen, name, None)
         if not isinstance(path, Path):
             continue
         if name in _FILES and path.is_dir():

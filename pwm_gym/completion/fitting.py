@@ -1,4 +1,4 @@
-"""Objects, a completion network and its checkpoint: what ``pwm-gym complete --train`` does."""
+"""Objects, a completion network and its checkpoint: what ``pwm-gym complete train`` does."""
 
 from __future__ import annotations
 

@@ -64,12 +64,14 @@ def test_sensed_views_go_through_the_cleaner(folder):
 
 def test_the_command_trains_measures_and_draws(folder, tmp_path, capsys):
     out = tmp_path / "run"
-    training = ["--train", "--out", str(out), "--shapes", "4", "--phases", "1", "2", "4", "3", "1", "4"]
+    training = ["--out", str(out), "--shapes", "4", "--phases", "1", "2", "4", "3", "1", "4"]
     meshes = ["--meshes", str(folder), "--held-out", "can"]
     files = ["--json", str(tmp_path / "found.json"), "--pictures", str(tmp_path / "drawn")]
     with warnings.catch_warnings():
         warnings.simplefilter("error", UserWarning)
-        main(["complete", *training, *meshes, "--evaluate", "--views", "1", *files, "--threads", "1"])
+        main(["complete", "train", *training, *meshes, "--threads", "1"])
+        trained = ["--checkpoint", str(out / "checkpoint")]
+        main(["complete", "evaluate", *meshes, *trained, "--views", "1", *files, "--threads", "1"])
     _, description = load_completion(out / "checkpoint")
     assert description["training"]["objects"]["held_out"] == ["can"] and "chamfer" in description["metrics"]
     found = json.loads((tmp_path / "found.json").read_text())["rows"]
@@ -80,17 +82,7 @@ def test_the_command_trains_measures_and_draws(folder, tmp_path, capsys):
     worst = [w["chamfer"] for w in found["seen, clean"]["worst"]]
     assert worst == sorted(worst, reverse=True) and np.mean(worst) == pytest.approx(found["seen, clean"]["chamfer"])
     assert "seen, clean" in capsys.readouterr().out
-    main(
-        [
-            "complete",
-            "--mesh",
-            str(folder / "can.stl"),
-            "--checkpoint",
-            str(out / "checkpoint"),
-            "--pictures",
-            str(tmp_path),
-        ]
-    )
+    main(["complete", "view", str(folder / "can.stl"), *trained, "--pictures", str(tmp_path)])
     assert (tmp_path / "can.png").exists()
     assert "can" in capsys.readouterr().out
 
@@ -99,7 +91,7 @@ def test_two_processes_share_the_training(tmp_path):
     with socket.socket() as s:
         s.bind(("127.0.0.1", 0))
         port = s.getsockname()[1]
-    launcher = f"-m torch.distributed.run --nproc-per-node 2 --master-port {port} -m pwm_gym complete --train".split()
+    launcher = f"-m torch.distributed.run --nproc-per-node 2 --master-port {port} -m pwm_gym complete train".split()
     settings = f"--out {tmp_path} --shapes 2 --phases 1 2 4 3 1 4 --threads 1".split()
     done = subprocess.run([sys.executable, *launcher, *settings], capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr[-3000:]
@@ -108,6 +100,16 @@ def test_two_processes_share_the_training(tmp_path):
     assert all(p.isfinite().all() for p in net.parameters())
 
 
-def test_the_command_needs_something_to_do():
-    with pytest.raises(SystemExit, match="nothing to do; expected --train"):
+def test_the_command_needs_something_to_do(capsys):
+    with pytest.raises(SystemExit):
         main(["complete"])
+    assert "train,evaluate,view" in capsys.readouterr().err.replace(" ", "")
+
+
+def test_what_cannot_be_measured_is_named_before_anything_is_loaded(folder, tmp_path):
+    with pytest.raises(SystemExit, match=r"unknown held-out mesh 'cn'.*Did you mean 'can'"):
+        main(["complete", "evaluate", "--meshes", str(folder), "--held-out", "cn"])
+    with pytest.raises(SystemExit, match="--views 0; expected at least 1"):
+        main(["complete", "evaluate", "--meshes", str(folder), "--views", "0"])
+    with pytest.raises(SystemExit, match=r"cannot be written \(it is a folder\)"):
+        main(["complete", "evaluate", "--meshes", str(folder), "--json", str(tmp_path)])
