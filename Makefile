@@ -9,7 +9,7 @@ TASK ?= PickCube# of `make demo`
 # Files go to the processes in their order, whose last ones are short, so that both processes end together.
 PYTEST = $(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder
 
-.PHONY: demo test test-all coverage lint docs install clean
+.PHONY: demo test test-all test-extras coverage lint docs install clean
 
 install: $(VENV)/.package
 
@@ -44,6 +44,16 @@ test-all: lint
 # Which lines the tests run; not a part of `make test`, which it would slow down.
 coverage: $(VENV)/.package
 	$(PYTEST) --cov=pwm_gym --cov-report=term --cov-report=xml
+
+# Bridges into libraries that few users need: each is tested against the library itself.
+$(VENV)/.extras: $(VENV)/.dependencies
+	$(BIN)/pip install -q --disable-pip-version-check -c constraints.txt '.[ray,stable-worldmodel,warp]'
+	$(BIN)/pip uninstall -q -y pwm-gym
+	rm -rf build/lib build/bdist.* *.egg-info
+	touch $@
+
+test-extras: $(VENV)/.extras $(VENV)/.package
+	$(BIN)/pytest -rs -m 'slow or not slow' tests/test_cluster.py tests/planning/test_adapters.py tests/sim/test_warp.py
 
 $(VENV)/.docs: $(VENV)/.dependencies
 	$(BIN)/pip install -q --disable-pip-version-check -c constraints.txt '.[docs]'

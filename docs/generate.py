@@ -35,7 +35,7 @@ WRAPPERS = (
     RecordRollout,
     SB3VecEnv,
 )
-BATCH_WRAPPERS = (vector.CostFunction, vector.Subsample, vector.UncertaintyPenalty)
+BATCH_WRAPPERS = (vector.ActionChunk, vector.CostFunction, vector.Subsample, vector.UncertaintyPenalty)
 PAGE = Path(__file__).parent / "environments.md"
 
 

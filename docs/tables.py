@@ -36,6 +36,8 @@ _MUJOCO_TASKS = {
     "FetchSlide": "fetch_slide",
     "OGBenchCubeSingle": "ogbench_cube_single",
     "OGBenchCubeDouble": "ogbench_cube_double",
+    "AdroitHandDoor": "adroit_hand_door",
+    "AdroitHandRelocate": "adroit_hand_relocate",
 }
 _TWO_ARM_TASKS = {"TwoArmBoxCleanup": "two_arm_box_cleanup", "TwoArmDrawerCleanup": "two_arm_drawer_cleanup"}
 
@@ -194,7 +196,7 @@ def rates() -> str:
     for task, suffix in {"PickCube": "pick_cube", **_TASKS, **_LONG_TASKS, **_MUJOCO_TASKS, **_TWO_ARM_TASKS}.items():
         if (result := read(f"bench_{suffix}")) is not None:
             raw, rate = result["simulator_steps_per_second"], result["model_steps_per_second"]
-            cells = [f"{rate[n]:,.0f} ({rate[n] / raw:.0f} x)" for n in ("256", "1024")]
+            cells = [f"{rate[n]:,.0f} ({rate[n] / raw:.1f} x)" for n in ("256", "1024")]
             whole = [seconds for size, seconds in result["plan_seconds"].items() if size.startswith("100 x 10 x ")]
             planned = number(whole[0], 2) if whole else "-"
             rows.append([task, f"{raw:,.0f}", *cells, planned, str(result["machine"]["torch_threads"])])

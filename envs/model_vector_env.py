@@ -141,6 +141,7 @@ class ModelVectorEnv(EzPickle, gym.vector.VectorEnv[dict[str, np.ndarray], np.nd
         self._assets: list[tuple[str, ...]] = [()] * num_envs
         self._elapsed = np.zeros(num_envs, np.int64)
         self._done = np.zeros(num_envs, bool)
+        self._held = np.zeros(num_envs, bool)
         self._stage: Tensor | None = None  # (B,), where the task is a sequence of stages
         self._picture_camera = picture_camera(width, height)
         self._renderer: SceneRenderer | None = None
@@ -176,6 +177,11 @@ class ModelVectorEnv(EzPickle, gym.vector.VectorEnv[dict[str, np.ndarray], np.nd
     def goal(self) -> Tensor:
         """Goals (B, G)."""
         return self._goal
+
+    @property
+    def done(self) -> np.ndarray:
+        """Whose episodes have ended (num_envs,) bool: with NEXT_STEP, the next step restarts them."""
+        return self._done.copy()
 
     def scene(self, index: int = 0) -> Scene:
         """The present scene of one environment, velocities included: what ``options["scene"]`` takes."""
@@ -224,13 +230,18 @@ class ModelVectorEnv(EzPickle, gym.vector.VectorEnv[dict[str, np.ndarray], np.nd
     def _reset_mask(self, mask: Any) -> np.ndarray:
         if mask is None:
             return np.ones(self.num_envs, bool)
-        if not isinstance(mask, np.ndarray) or mask.dtype != np.bool_ or mask.shape != (self.num_envs,):
-            found = f"{mask.dtype} {mask.shape}" if isinstance(mask, np.ndarray) else type(mask).__name__
-            raise PwmGymError(f"reset_mask is {found}; expected a boolean array ({self.num_envs},)")
+        mask = self._mask("reset_mask", mask)
         if not mask.any():
             raise PwmGymError("reset_mask selects no environment")
         if self._state is None and not mask.all():
             raise PwmGymError("the first reset must reset every environment; reset_mask leaves some out")
+        return mask
+
+    def _mask(self, name: str, mask: Any) -> np.ndarray:
+        """A mask of environments that was given, or an error that names it."""
+        if not isinstance(mask, np.ndarray) or mask.dtype != np.bool_ or mask.shape != (self.num_envs,):
+            found = f"{mask.dtype} {mask.shape}" if isinstance(mask, np.ndarray) else type(mask).__name__
+            raise PwmGymError(f"{name} is {found}; expected a boolean array ({self.num_envs},)")
         return mask
 
     def _scenes(self, scene: Scene | Sequence[Scene] | None, mask: np.ndarray) -> list[Scene]:
@@ -293,19 +304,34 @@ class ModelVectorEnv(EzPickle, gym.vector.VectorEnv[dict[str, np.ndarray], np.nd
     def step(self, actions: np.ndarray | Tensor) -> tuple[dict[str, Any], Any, np.ndarray, np.ndarray, dict[str, Any]]:
         """One control step of every environment under actions (num_envs, A) in [-1, 1]."""
         action = check_actions(actions, self.action_space.shape or ()).to(self.device)
-        if self.autoreset_mode is AutoresetMode.DISABLED and self._done.any():
+        if self.autoreset_mode is AutoresetMode.DISABLED and (self._done & ~self._held).any():
             raise PwmGymError("some environments are done; reset them with options={'reset_mask': ...} first")
-        restarted = self._done.copy()
-        self._state = self.model.step(self.state, action)
-        self._action = action
-        self._elapsed += 1
-        escaped = outside(self._state)
+        restarted = self._done & ~self._held
+        self._advance(action)
+        escaped = outside(self.state)
         if escaped.any():
             self._freeze(escaped)
         if restarted.any():
             self._restart(restarted, self._scenes(None, restarted))
         judgement = self._judge()
         return self._finish(judgement, escaped.cpu().numpy() & ~restarted, restarted)
+
+    def _advance(self, action: Tensor) -> None:
+        """Move all that is not held."""
+        before, self._state = self.state, self.model.step(self.state, action)
+        if self._held.any():
+            held = torch.as_tensor(np.flatnonzero(self._held), device=self.device)
+            self._state = with_rows(self._state, held, before[held])
+            action = action.index_copy(0, held, self._action[held])
+        self._action = action
+        self._elapsed[~self._held] += 1
+
+    def hold(self, mask: np.ndarray) -> None:
+        """Let the environments of ``mask`` (num_envs,) bool stand still from the next step on, and only those.
+
+        They neither move nor restart, their reward is 0, and they are not told to end again.
+        """
+        self._held = self._mask("mask", mask).copy()
 
     def set_cost(self, cost: str | Callable[..., Tensor] | None) -> None:
         """Reward by another cost from now on, a registered or a callable one; stages begin anew."""
@@ -335,12 +361,13 @@ class ModelVectorEnv(EzPickle, gym.vector.VectorEnv[dict[str, np.ndarray], np.nd
         late = np.zeros(self.num_envs, bool)
         if self.max_episode_steps is not None:
             late = (self._elapsed >= self.max_episode_steps) & ~restarted
-        terminated = judgement.success.cpu().numpy() & ~restarted & ~escaped
-        truncated = escaped | late
+        resting = restarted | self._held
+        terminated = judgement.success.cpu().numpy() & ~resting & ~escaped
+        truncated = (escaped | late) & ~resting
         reasons = np.where(escaped, "left the bounds", np.where(late, "time limit", "")).tolist()
-        reward = judgement.reward.masked_fill(torch.as_tensor(restarted, device=self.device), 0.0)
+        reward = judgement.reward.masked_fill(torch.as_tensor(resting, device=self.device), 0.0)
         observation, info = self._observation(), self._info(judgement, reasons)
-        self._done = terminated | truncated
+        self._done = terminated | truncated | (self._done & self._held)
         if self.autoreset_mode is AutoresetMode.SAME_STEP and self._done.any():
             observation, info = self._restart_now(observation, info)
         return observation, self._out(reward), terminated, truncated, info

@@ -10,7 +10,20 @@ from gymnasium.utils import RecordConstructorArgs
 
 from pwm_gym.errors import PwmGymError, check_whole
 
-__all__ = ["ActionChunk"]
+__all__ = ["ActionChunk", "chunked"]
+
+
+def chunked(single: gym.Space[Any], length: int) -> gym.spaces.Box:
+    """Space (length, A) of ``length`` actions of a box (A,).
+
+    Raises:
+        PwmGymError: no box, or no length.
+    """
+    check_whole("length", length, 1)
+    if not isinstance(single, gym.spaces.Box):
+        raise PwmGymError(f"ActionChunk needs a Box of actions; got {type(single).__name__}")
+    low, high = (np.stack([bound] * length) for bound in (single.low, single.high))
+    return gym.spaces.Box(low, high, dtype=single.dtype.type)
 
 
 class ActionChunk(gym.Wrapper[Any, np.ndarray, Any, np.ndarray], RecordConstructorArgs):
@@ -31,12 +44,7 @@ class ActionChunk(gym.Wrapper[Any, np.ndarray, Any, np.ndarray], RecordConstruct
     def __init__(self, env: gym.Env[Any, np.ndarray], length: int) -> None:
         RecordConstructorArgs.__init__(self, length=length)
         gym.Wrapper.__init__(self, env)
-        check_whole("length", length, 1)
-        single = env.action_space
-        if not isinstance(single, gym.spaces.Box):
-            raise PwmGymError(f"ActionChunk needs a Box of actions; got {type(single).__name__}")
-        low, high = (np.stack([bound] * length) for bound in (single.low, single.high))
-        self.action_space = gym.spaces.Box(low, high, dtype=single.dtype.type)
+        self.action_space = chunked(env.action_space, length)
 
     def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Make the actions (length, A) one after the other."""

@@ -7,16 +7,19 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
+import torch
 from gymnasium.vector.utils import batch_space
 from torch import Tensor
 
+from pwm_gym.envs.common import check_actions
 from pwm_gym.envs.model_vector_env import ModelVectorEnv
 from pwm_gym.errors import PwmGymError
 from pwm_gym.scene import Layout
+from pwm_gym.wrappers.chunks import chunked
 from pwm_gym.wrappers.observations import at_points, subsampled
 from pwm_gym.wrappers.uncertainty import check_penalty, total_error
 
-__all__ = ["CostFunction", "Subsample", "UncertaintyPenalty"]
+__all__ = ["ActionChunk", "CostFunction", "Subsample", "UncertaintyPenalty"]
 
 
 def _native(env: gym.vector.VectorEnv[Any, Any, Any], name: str) -> ModelVectorEnv:
@@ -25,6 +28,74 @@ def _native(env: gym.vector.VectorEnv[Any, Any, Any], name: str) -> ModelVectorE
     if not isinstance(base, ModelVectorEnv):
         raise PwmGymError(f"{name} wraps a ModelVectorEnv; got {type(base).__name__}")
     return base
+
+
+class ActionChunk(gym.vector.VectorWrapper):
+    """As :class:`pwm_gym.wrappers.ActionChunk`: (num_envs, length, A) a step.
+
+    An environment whose episode ends within the chunk stands still for the rest of it, and one that restarts makes none
+    of the chunk. ``info["chunk"]`` has ``rewards`` (num_envs, length), 0 for what was not made, and ``steps``
+    (num_envs,), how many were.
+
+    Args:
+        env: native batch.
+        length: number of actions a step.
+
+    Example:
+        >>> envs = ActionChunk(gym.make_vec("pwm/PickCube-v0", num_envs=2), 4)
+        >>> envs.action_space.shape
+        (2, 4, 7)
+    """
+
+    def __init__(self, env: gym.vector.VectorEnv[Any, Any, Any], length: int) -> None:
+        super().__init__(env)
+        self._batch = _native(env, "ActionChunk")
+        self.length = length
+        self.single_action_space = chunked(env.single_action_space, length)
+        self.action_space = batch_space(self.single_action_space, env.num_envs)
+
+    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        """Make each environment's actions one after the other until its episode ends."""
+        chunks = check_actions(actions, self.action_space.shape or ())
+        restarting, going = self._batch.done, np.ones(self.num_envs, bool)
+        ends, steps = np.zeros((2, self.num_envs), bool), np.zeros(self.num_envs, np.int64)
+        rewards: list[Any] = []
+        told: Any = None
+        try:
+            for k in range(self.length):
+                self._batch.hold(~going)
+                observation, reward, *ended, info = self.env.step(chunks[:, k])
+                told = (observation, info) if told is None else _chosen(going, (observation, info), told)
+                rewards.append(reward)
+                ends |= ended
+                steps += going & ~restarting
+                going = going & ~ends.any(0) & ~restarting
+                if not going.any():
+                    break
+        finally:
+            self._batch.hold(np.zeros(self.num_envs, bool))
+        rewards += [0.0 * rewards[0]] * (self.length - len(rewards))
+        every = np.ones(self.num_envs, bool)
+        made = {"rewards": _stacked(rewards), "_rewards": every, "steps": steps, "_steps": every.copy()}
+        observation, info = told
+        return observation, sum(rewards), *ends, {**info, "chunk": made, "_chunk": every.copy()}
+
+
+def _stacked(rewards: list[Any]) -> np.ndarray:
+    """Rewards (num_envs, length)."""
+    return np.stack([r.cpu().numpy() if isinstance(r, Tensor) else r for r in rewards], axis=1)
+
+
+def _chosen(mask: np.ndarray, new: Any, old: Any) -> Any:
+    """Rows of ``new`` where the mask is set, of ``old`` elsewhere; what only one of them has is kept."""
+    if isinstance(new, dict):
+        return {**old, **{key: _chosen(mask, new[key], old.get(key, new[key])) for key in new}}
+    if isinstance(new, tuple):
+        return tuple(_chosen(mask, *pair) for pair in zip(new, old, strict=True))
+    rows = mask.reshape(-1, *[1] * (new.ndim - 1))
+    if isinstance(new, Tensor):
+        return new.where(torch.as_tensor(rows, device=new.device), old)
+    return np.where(rows, new, old)
 
 
 class CostFunction(gym.vector.VectorWrapper):
