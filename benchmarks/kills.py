@@ -107,6 +107,11 @@ JOBS: Mapping[str, Job] = {
         "--agent.width 16 --agent.episode-steps 8 --agent.threads 1 --agent.snapshot-every 32",
         _steps,
     ),
+    "train-agent sac": Job(
+        "train-agent --algo sac --episodes 0 --out {out} --agent.steps 512 --agent.num-envs 4 --agent.width 16 "
+        "--agent.episode-steps 8 --agent.threads 1 --agent.snapshot-every 32",
+        _steps,
+    ),
     "complete": Job(
         "complete train --shapes 12 " + _LOOP.format(steps=12), _weights_of("checkpoint")
     ),

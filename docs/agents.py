@@ -32,7 +32,25 @@ pwm-gym train --data data-sets/StackCube data-sets/StackCube-practice data-sets/
 ```
 """
 _GUIDED = {"PickCube": "pick_cube", "StackCube": "stack_cube"}
-_RANKED = {"PickCube": "rank_pick_cube", "StackCube": "rank_stack_cube"}
+_RANKED = {
+    "PickCube": "rank_pick_cube",
+    "StackCube": "rank_stack_cube",
+    "StackCube, in a model that saw the agents' episodes": "rank_stack_cube_agents",
+}
+_SEEN = """Trained further on 600 episodes of four of the agents in the simulator, of other seeds than those of the ranking,
+from the model above in which the last agent learned on:
+
+```
+for i in 1 2 3 4; do
+    policy=$(echo StackCube-ppo StackCube-ppo/snapshots/002506752 StackCube-careful StackCube-further | cut -d " " -f $i)
+    pwm-gym collect --task StackCube --episodes 150 --held-out 1 --practice 0 --on-policy 1 --policy runs/$policy \\
+        --jitter 0.1 --offset $((10000 + 1000 * i)) --out data-sets/StackCube-agents/$i
+done
+pwm-gym train --data data-sets/StackCube data-sets/StackCube-practice data-sets/StackCube-on \\
+    data-sets/StackCube-agents/{1,2,3,4} --init runs/stack/checkpoint --out runs/stack-agents --threads 1 \\
+    --learning-rate 0.001 --arm-steps 0 --error-steps 0 --phases 1 200 256 5 400 192 15 350 128
+```
+"""
 
 
 def learned() -> str:
@@ -106,7 +124,7 @@ def ranked() -> str:
 
 def _ranking(task: str, name: str, result: dict[str, Any]) -> str:
     about = paragraph(
-        f"{result['policies']} policies of {task}, {result['between_20_and_80']} of them between 20 and 80 %, each",
+        f"{result['policies']} policies of {result['task']}, {result['between_20_and_80']} of them between 20 and 80 %, each",
         f"from the same {result['scenes']} scenes in the model and in the simulator",
         f"([how](train_agent.md#rank-policies)): {_measures(result)}.",
     )
@@ -126,7 +144,8 @@ def _ranking(task: str, name: str, result: dict[str, Any]) -> str:
         for row in sorted(result["rows"], key=lambda row: row["simulator"])
     ]
     table = grid(["policy", "success in the model", "in the simulator", "its training"], rows)
-    return f"## Ranking of policies: {task}\n\n{source(name, result)}\n{about}{shown}\n{table}"
+    made = f"\n{_SEEN}" if name == "rank_stack_cube_agents" else ""
+    return f"## Ranking of policies: {task}\n\n{source(name, result)}\n{about}{made}{shown}\n{table}"
 
 
 def _measures(table: dict[str, Any]) -> str:

@@ -16,7 +16,8 @@ __all__ = ["Slide", "behind", "goal_distance", "pressing", "pushed_terms", "push
 
 _NEAR = 0.02  # metres from the goal within which the way there counts most
 _LEVEL = 0.03  # metres over an object's centre above which the tool is clear of it
-_SLACK, _CLEAR = 0.005, 0.065  # metres over it up to which the tool pushes, and from which it does not touch
+_SLACK = 0.005  # metres over it up to which the tool pushes
+_CLEAR = 0.065  # metres over it from which the tool does not touch it, unless a task says otherwise
 _REACH = 0.02  # metres farther than where it pushes that the tool still presses
 
 
@@ -107,26 +108,27 @@ def wrong_side(name: str, gripper: Gripper, contact: float) -> Term:
     return term
 
 
-def pressing(name: str, gripper: Gripper, contact: float) -> Term:
+def pressing(name: str, gripper: Gripper, contact: float, clear: float = _CLEAR) -> Term:
     """How far (B,) a tool at the object's upper edge is from the heights at which it would not press it down, metres.
 
     Args:
         name: the object.
         gripper: that pushes.
         contact: distance, metres, of the tool from the object's centre where it pushes.
+        clear: metres over the object's centre from which the tool does not touch it.
     """
 
     def term(points: Points, info: Info) -> Tensor:
         offset = contacts.tool_centre(points, gripper) - contacts.centre(points, name)
         beside = torch.sigmoid((contact + _REACH - offset[..., :2].norm(dim=-1)) / 0.005)
         height = offset[..., 2]
-        return beside * torch.minimum(height - _SLACK, _CLEAR - height).clamp_min(0.0)
+        return beside * torch.minimum(height - _SLACK, clear - height).clamp_min(0.0)
 
     return term
 
 
 def pushing_terms(
-    name: str, gripper: Gripper, contact: float, slide: Slide | None = None
+    name: str, gripper: Gripper, contact: float, slide: Slide | None = None, clear: float = _CLEAR
 ) -> dict[str, tuple[float, Term]]:
     """Weighted terms of a planner's cost: the object near its goal, the tool behind it and not on the table.
 
@@ -135,11 +137,12 @@ def pushing_terms(
         gripper: that pushes.
         contact: distance, metres, of the tool from the object's centre where it pushes.
         slide: how friction slows the object down; None: it stops at once.
+        clear: metres over the object's centre from which the tool does not touch it.
     """
     return {
         "goal_distance": (2.0, goal_distance(name, slide)),
         "behind": (8.0, behind(name, gripper, contact)),
         "wrong_side": (8.0, wrong_side(name, gripper, contact)),
-        "pressing": (20.0, pressing(name, gripper, contact)),
+        "pressing": (20.0, pressing(name, gripper, contact, clear)),
         "ground_contact": (0.5, terms.ground_contact),
     }

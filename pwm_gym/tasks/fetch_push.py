@@ -19,6 +19,7 @@ from pwm_gym.tasks.registry import Task, register_task
 __all__ = ["FETCH_PUSH", "FetchPushExpert"]
 
 _CONTACT = 0.04  # metres from the tool to the block's centre where shut fingers push it
+_CLEAR = 0.08  # metres over the block's centre, below which shut fingers press it into the table and drag or tip it
 _AT_GOAL = 0.02  # metres from the goal where the expert leaves the block alone
 _LAYOUT = layout({"object": 300})
 
@@ -26,7 +27,7 @@ register_grasp("fetch_push")(terms.pinch("object", GRIPPER))
 _success = register_success("fetch_push")(terms.near("object", terms.goal_position, GOAL_RADIUS))
 
 register_terms("fetch_push", pushed_terms("object", GRIPPER, _success))  # minus the dense reward
-register_terms("fetch_push_plan", pushing_terms("object", GRIPPER, _CONTACT))
+register_terms("fetch_push_plan", pushing_terms("object", GRIPPER, _CONTACT, clear=_CLEAR))
 
 
 @dataclass(frozen=True)

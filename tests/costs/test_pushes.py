@@ -65,3 +65,5 @@ def test_a_tool_at_the_upper_edge_presses_and_a_low_or_a_clear_one_does_not():
     )
     assert edge == pytest.approx(0.03, rel=0.05)
     assert low == clear == 0.0 and far < 1e-6
+    higher = pushes.pressing("object", FETCH, CONTACT, clear=0.08)
+    assert float(higher(*scene((-CONTACT, 0.0, 0.07), (0.3, 0.0, 0.0)))) == pytest.approx(0.01, rel=0.05)
