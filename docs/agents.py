@@ -37,12 +37,13 @@ _RANKED = {
     "StackCube": "rank_stack_cube",
     "StackCube, in a model that saw the agents' episodes": "rank_stack_cube_agents",
 }
-_SEEN = """Trained further on 600 episodes of four of the agents in the simulator, of other seeds than those of the ranking,
-from the model above in which the last agent learned on:
+_SEEN = """The model was trained further on 600 episodes of four of the agents in the simulator, from other seeds than the
+ranking's; it goes on from the one above in which the last agent learned:
 
 ```
-for i in 1 2 3 4; do
-    policy=$(echo StackCube-ppo StackCube-ppo/snapshots/002506752 StackCube-careful StackCube-further | cut -d " " -f $i)
+i=0
+for policy in StackCube-ppo StackCube-ppo/snapshots/002506752 StackCube-careful StackCube-further; do
+    i=$((i + 1))
     pwm-gym collect --task StackCube --episodes 150 --held-out 1 --practice 0 --on-policy 1 --policy runs/$policy \\
         --jitter 0.1 --offset $((10000 + 1000 * i)) --out data-sets/StackCube-agents/$i
 done
@@ -124,8 +125,8 @@ def ranked() -> str:
 
 def _ranking(task: str, name: str, result: dict[str, Any]) -> str:
     about = paragraph(
-        f"{result['policies']} policies of {result['task']}, {result['between_20_and_80']} of them between 20 and 80 %, each",
-        f"from the same {result['scenes']} scenes in the model and in the simulator",
+        f"{result['policies']} policies of {result['task']}, {result['between_20_and_80']} of them between 20 and 80 %,",
+        f"each from the same {result['scenes']} scenes in the model and in the simulator",
         f"([how](train_agent.md#rank-policies)): {_measures(result)}.",
     )
     if "floor" in result:
