@@ -37,8 +37,8 @@ _RANKED = {
     "StackCube": "rank_stack_cube",
     "StackCube, in a model that saw the agents' episodes": "rank_stack_cube_agents",
 }
-_SEEN = """The model was trained further on 600 episodes of four of the agents in the simulator, from other seeds than the
-ranking's; it goes on from the one above in which the last agent learned:
+_SEEN = """The model was trained further on 600 episodes of four of the agents in the simulator, from other seeds than
+the ranking's; it goes on from the one above in which the last agent learned:
 
 ```
 i=0
@@ -125,8 +125,8 @@ def ranked() -> str:
 
 def _ranking(task: str, name: str, result: dict[str, Any]) -> str:
     about = paragraph(
-        f"{result['policies']} policies of {result['task']}, {result['between_20_and_80']} of them between 20 and 80 %,",
-        f"each from the same {result['scenes']} scenes in the model and in the simulator",
+        f"{result['policies']} policies of {result['task']}, {result['between_20_and_80']} of them between 20 and",
+        f"80 %, each from the same {result['scenes']} scenes in the model and in the simulator",
         f"([how](train_agent.md#rank-policies)): {_measures(result)}.",
     )
     if "floor" in result:
