@@ -342,6 +342,16 @@ class ModelVectorEnv(EzPickle, gym.vector.VectorEnv[dict[str, np.ndarray], np.nd
         every = np.ones(self.num_envs, bool)
         self._state, self._action = self._prepared(self._scenes(scene, every), every)
 
+    def end(self, mask: np.ndarray) -> None:
+        """End the episodes of ``mask`` (num_envs,) bool: the next step restarts them, as autoreset has it.
+
+        Raises:
+            PwmGymError: no such mask, or autoreset "SameStep", which restarts within the step that ends an episode.
+        """
+        if self.autoreset_mode is AutoresetMode.SAME_STEP:
+            raise PwmGymError("autoreset_mode is 'SameStep'; ending episodes needs 'NextStep' or 'Disabled'")
+        self._done |= self._mask("mask", mask)
+
     def resume(self) -> None:
         """Go on after an episode's end, as Gymnasium's single environments may."""
         self._done[:] = False

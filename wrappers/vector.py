@@ -17,7 +17,7 @@ from pwm_gym.errors import PwmGymError
 from pwm_gym.scene import Layout
 from pwm_gym.wrappers.chunks import chunked
 from pwm_gym.wrappers.observations import at_points, subsampled
-from pwm_gym.wrappers.uncertainty import check_penalty, total_error
+from pwm_gym.wrappers.uncertainty import UNSURE, check_penalty, total_error
 
 __all__ = ["ActionChunk", "CostFunction", "Subsample", "UncertaintyPenalty"]
 
@@ -66,7 +66,7 @@ class ActionChunk(gym.vector.VectorWrapper):
                 self._batch.hold(~going)
                 observation, reward, *ended, info = self.env.step(chunks[:, k])
                 told = (observation, info) if told is None else _chosen(going, (observation, info), told)
-                rewards.append(reward)
+                rewards.append(_chosen(going, reward, 0.0 * reward))
                 ends |= ended
                 steps += going & ~restarting
                 going = going & ~ends.any(0) & ~restarting
@@ -145,27 +145,38 @@ class Subsample(gym.vector.VectorWrapper):
 
 
 class UncertaintyPenalty(gym.vector.VectorWrapper):
-    """As :class:`pwm_gym.wrappers.UncertaintyPenalty`, without a limit: autoreset is the batch's own.
+    """As :class:`pwm_gym.wrappers.UncertaintyPenalty`, of all environments; a restart costs nothing.
 
     Args:
         env: native batch whose world model tells its expected error.
         weight: reward for a metre of expected error, all entities together.
+        limit: expected error in metres at which an episode is truncated, with "unsure" in ``info["reason"]``; None
+            never truncates. Autoreset "SameStep", which restarts within the step, has no limit.
 
     Example:
-        >>> envs = UncertaintyPenalty(gym.make_vec("pwm/PickCube-v0", num_envs=2), weight=2.0)
+        >>> envs = UncertaintyPenalty(gym.make_vec("pwm/PickCube-v0", num_envs=2), weight=2.0, limit=0.1)
     """
 
-    def __init__(self, env: gym.vector.VectorEnv[Any, Any, Any], weight: float) -> None:
+    def __init__(self, env: gym.vector.VectorEnv[Any, Any, Any], weight: float, limit: float | None = None) -> None:
         super().__init__(env)
-        check_penalty(weight)
-        self.weight = weight
+        check_penalty(weight, limit)
+        self.weight, self.limit = weight, limit
+        self._batch = _native(env, "UncertaintyPenalty")
+        if limit is not None:
+            self._batch.end(np.zeros(self.num_envs, bool))  # an error where it cannot be
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """One step of every environment; the error of an episode's last step counts, not that of the next one's."""
+        restarting = self._batch.done
         observation, reward, terminated, truncated, info = self.env.step(actions)
-        error = np.asarray(total_error(info))
+        error = np.where(restarting, 0.0, total_error(info))
         if "final_info" in info:
             error = np.where(info["_final_info"], total_error(info["final_info"]), error)
+        if self.limit is not None:
+            unsure = (error > self.limit) & ~terminated
+            self._batch.end(unsure)
+            truncated = truncated | unsure
+            info = {**info, "reason": np.where(unsure & (info["reason"] == ""), UNSURE, info["reason"])}
         penalty = self.weight * error.astype(np.float32)
         return observation, reward - self._like(reward, penalty), terminated, truncated, info
 

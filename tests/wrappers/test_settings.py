@@ -150,6 +150,42 @@ def test_the_batchs_penalty_is_of_the_step_that_ended_an_episode(random_actions)
         np.testing.assert_allclose(before - after, 4.0 * error, rtol=1e-4, atol=1e-6)
 
 
+def test_a_batch_ends_where_its_model_is_unsure_and_a_restart_costs_nothing(random_actions):
+    actions = [random_actions(k, 2, 7) for k in range(6)]
+    plain = gym.make_vec("pwm/PickCube-v0", num_envs=2)
+    plain.reset(seed=0)
+    steps = [plain.step(each) for each in actions]
+    errors = [sum(v for k, v in step[-1]["expected_error"].items() if k[0] != "_") for step in steps]
+    limit = float(np.sort(np.concatenate(errors[:4]))[-2:].mean())  # one of them is above it
+    number, row = next((k, i) for k in range(4) for i in range(2) if errors[k][i] > limit)
+    cautious = vector.UncertaintyPenalty(gym.make_vec("pwm/PickCube-v0", num_envs=2), weight=2.0, limit=limit)
+    cautious.reset(seed=0)
+    for k in range(number + 1):
+        _, reward, terminated, truncated, info = cautious.step(actions[k])
+        np.testing.assert_allclose(reward, steps[k][1] - 2.0 * errors[k], atol=1e-5)
+        assert truncated.any() == (k == number) and not terminated.any()
+    assert truncated[row] and not truncated[1 - row]
+    assert info["reason"][row] == "unsure" and info["reason"][1 - row] == ""
+    _, reward, _, truncated, info = cautious.step(actions[number + 1])
+    assert reward[row] == 0.0 and not truncated[row] and info["reason"][row] == ""
+    with pytest.raises(PwmGymError, match="autoreset_mode is 'SameStep'; ending episodes needs 'NextStep'"):
+        vector.UncertaintyPenalty(gym.make_vec("pwm/PickCube-v0", num_envs=2, autoreset_mode="SameStep"), 1.0, 0.1)
+
+
+def test_a_chunk_of_an_unsure_batch_is_its_sum(random_actions):
+    def cautious():
+        return vector.UncertaintyPenalty(gym.make_vec("pwm/PickCube-v0", num_envs=2, max_episode_steps=2), weight=2.0)
+
+    plain, chunked = cautious(), vector.ActionChunk(cautious(), 3)
+    actions = np.stack([random_actions(k, 2, 7) for k in range(3)], 1)
+    for env in (plain, chunked):
+        env.reset(seed=0)
+    rewards = [plain.step(actions[:, k])[1] for k in range(2)]
+    _, reward, _, truncated, info = chunked.step(actions)
+    assert truncated.all() and (info["chunk"]["steps"] == 2).all()
+    np.testing.assert_allclose(reward, sum(rewards), atol=1e-5)
+
+
 def test_a_simulator_knows_no_error_of_its_own_and_weights_are_checked(sim, env):
     wrapped = UncertaintyPenalty(sim, weight=1.0)
     wrapped.reset(seed=0)
