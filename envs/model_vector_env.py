@@ -363,7 +363,10 @@ class ModelVectorEnv(EzPickle, gym.vector.VectorEnv[dict[str, np.ndarray], np.nd
 
     def _judge(self) -> Judgement:
         judgement = self.rules.judge(self.state, self._action, self._goal, self._stage)
-        self._stage = judgement.stage
+        stage, before = judgement.stage, self._stage
+        if stage is not None and before is not None and self._held.any():
+            stage = torch.where(torch.as_tensor(self._held, device=self.device), before, stage)
+        self._stage = stage
         return judgement
 
     def _finish(self, judgement: Judgement, escaped: np.ndarray, restarted: np.ndarray) -> tuple[Any, ...]:
