@@ -48,7 +48,6 @@ coverage: $(VENV)/.package
 # Bridges into libraries that few users need: each is tested against the library itself.
 $(VENV)/.extras: $(VENV)/.dependencies
 	$(BIN)/pip install -q --disable-pip-version-check -c constraints.txt '.[ray,stable-worldmodel,warp]'
-	$(BIN)/pip uninstall -q -y pwm-gym
 	rm -rf build/lib build/bdist.* *.egg-info
 	touch $@
 

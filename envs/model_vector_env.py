@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import gymnasium as gym
@@ -183,6 +184,11 @@ class ModelVectorEnv(EzPickle, gym.vector.VectorEnv[dict[str, np.ndarray], np.nd
         """Whose episodes have ended (num_envs,) bool: with NEXT_STEP, the next step restarts them."""
         return self._done.copy()
 
+    @property
+    def held(self) -> np.ndarray:
+        """Which stand still (num_envs,) bool; see :meth:`hold`."""
+        return self._held.copy()
+
     def scene(self, index: int = 0) -> Scene:
         """The present scene of one environment, velocities included: what ``options["scene"]`` takes."""
         frames = self.state.history()[index].double().cpu()  # (3, E, 4, 4)
@@ -214,6 +220,7 @@ class ModelVectorEnv(EzPickle, gym.vector.VectorEnv[dict[str, np.ndarray], np.nd
         options = check_options(options, _OPTIONS)
         mask = self._reset_mask(options.get("reset_mask"))
         self._seed(seed, mask)
+        self._held[mask] = False
         self._restart(mask, self._scenes(options.get("scene"), mask))
         judgement = self._judge()
         return self._observation(), self._info(judgement, [""] * self.num_envs)
@@ -329,7 +336,8 @@ class ModelVectorEnv(EzPickle, gym.vector.VectorEnv[dict[str, np.ndarray], np.nd
     def hold(self, mask: np.ndarray) -> None:
         """Let the environments of ``mask`` (num_envs,) bool stand still from the next step on, and only those.
 
-        They neither move nor restart, their reward is 0, and they are not told to end again.
+        They neither move nor restart, their reward is 0, and they are not told to end again. A reset lets go of what it
+        resets.
         """
         self._held = self._mask("mask", mask).copy()
 
@@ -343,7 +351,9 @@ class ModelVectorEnv(EzPickle, gym.vector.VectorEnv[dict[str, np.ndarray], np.nd
         self._state, self._action = self._prepared(self._scenes(scene, every), every)
 
     def end(self, mask: np.ndarray) -> None:
-        """End the episodes of ``mask`` (num_envs,) bool: the next step restarts them, as autoreset has it.
+        """End the episodes of ``mask`` (num_envs,) bool.
+
+        With autoreset "NextStep" the next step restarts them; with "Disabled" they have to be reset before it.
 
         Raises:
             PwmGymError: no such mask, or autoreset "SameStep", which restarts within the step that ends an episode.
@@ -366,6 +376,7 @@ class ModelVectorEnv(EzPickle, gym.vector.VectorEnv[dict[str, np.ndarray], np.nd
         stage, before = judgement.stage, self._stage
         if stage is not None and before is not None and self._held.any():
             stage = torch.where(torch.as_tensor(self._held, device=self.device), before, stage)
+            judgement = replace(judgement, stage=stage)
         self._stage = stage
         return judgement
 

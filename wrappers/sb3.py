@@ -37,10 +37,10 @@ class SB3VecEnv(VecEnv):
             raise PwmGymError(f"autoreset_mode is {base.autoreset_mode}; expected AutoresetMode.SAME_STEP")
         base.observe_as(observation)
         self.env, self._base = env, base
-        self._actions = np.zeros(base.action_space.shape or (), np.float32)
+        self._actions = np.zeros(env.action_space.shape or (), np.float32)
         self._seeds: int | None = None
         self.render_mode = base.render_mode
-        super().__init__(base.num_envs, base.single_observation_space, base.single_action_space)
+        super().__init__(base.num_envs, env.single_observation_space, env.single_action_space)
 
     def reset(self) -> Any:
         """First observations (num_envs, ...)."""
@@ -54,7 +54,7 @@ class SB3VecEnv(VecEnv):
         return [None if seed is None else seed + i for i in range(self.num_envs)]
 
     def step_async(self, actions: np.ndarray) -> None:
-        """Actions (num_envs, A) of the next :meth:`step_wait`."""
+        """Actions (num_envs, ...) of the next :meth:`step_wait`."""
         self._actions = np.asarray(actions, np.float32)
 
     def step_wait(self) -> tuple[Any, np.ndarray, np.ndarray, list[dict[str, Any]]]:

@@ -8,6 +8,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import torch
+from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from torch import Tensor
 
@@ -35,7 +36,7 @@ class ActionChunk(gym.vector.VectorWrapper):
 
     An environment whose episode ends within the chunk stands still for the rest of it, and one that restarts makes none
     of the chunk. ``info["chunk"]`` has ``rewards`` (num_envs, length), 0 for what was not made, and ``steps``
-    (num_envs,), how many were.
+    (num_envs,), how many were. Put wrappers that count steps around it: within, they count those who wait, too.
 
     Args:
         env: native batch.
@@ -57,7 +58,8 @@ class ActionChunk(gym.vector.VectorWrapper):
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """Make each environment's actions one after the other until its episode ends."""
         chunks = check_actions(actions, self.action_space.shape or ())
-        restarting, going = self._batch.done, np.ones(self.num_envs, bool)
+        held = self._batch.held
+        restarting, going = self._batch.done & ~held, ~held
         ends, steps = np.zeros((2, self.num_envs), bool), np.zeros(self.num_envs, np.int64)
         rewards: list[Any] = []
         told: Any = None
@@ -73,7 +75,7 @@ class ActionChunk(gym.vector.VectorWrapper):
                 if not going.any():
                     break
         finally:
-            self._batch.hold(np.zeros(self.num_envs, bool))
+            self._batch.hold(held)
         rewards += [0.0 * rewards[0]] * (self.length - len(rewards))
         every = np.ones(self.num_envs, bool)
         made = {"rewards": _stacked(rewards), "_rewards": every, "steps": steps, "_steps": every.copy()}
@@ -92,10 +94,10 @@ def _chosen(mask: np.ndarray, new: Any, old: Any) -> Any:
         return {**old, **{key: _chosen(mask, new[key], old.get(key, new[key])) for key in new}}
     if isinstance(new, tuple):
         return tuple(_chosen(mask, *pair) for pair in zip(new, old, strict=True))
-    rows = mask.reshape(-1, *[1] * (new.ndim - 1))
-    if isinstance(new, Tensor):
-        return new.where(torch.as_tensor(rows, device=new.device), old)
-    return np.where(rows, new, old)
+    rows = torch.as_tensor(mask, device=new.device) if isinstance(new, Tensor) else mask
+    chosen = old.clone() if isinstance(old, Tensor) else old.copy()
+    chosen[rows] = new[rows]
+    return chosen
 
 
 class CostFunction(gym.vector.VectorWrapper):
@@ -162,21 +164,23 @@ class UncertaintyPenalty(gym.vector.VectorWrapper):
         check_penalty(weight, limit)
         self.weight, self.limit = weight, limit
         self._batch = _native(env, "UncertaintyPenalty")
-        if limit is not None:
-            self._batch.end(np.zeros(self.num_envs, bool))  # an error where it cannot be
+        if limit is not None and self._batch.autoreset_mode is AutoresetMode.SAME_STEP:
+            raise PwmGymError(f"limit={limit} with autoreset_mode 'SameStep'; expected 'NextStep' or 'Disabled'")
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """One step of every environment; the error of an episode's last step counts, not that of the next one's."""
-        restarting = self._batch.done
+        resting = self._batch.done | self._batch.held
         observation, reward, terminated, truncated, info = self.env.step(actions)
-        error = np.where(restarting, 0.0, total_error(info))
+        error = np.where(resting, 0.0, total_error(info))
         if "final_info" in info:
             error = np.where(info["_final_info"], total_error(info["final_info"]), error)
         if self.limit is not None:
             unsure = (error > self.limit) & ~terminated
             self._batch.end(unsure)
             truncated = truncated | unsure
-            info = {**info, "reason": np.where(unsure & (info["reason"] == ""), UNSURE, info["reason"])}
+            reasons = info["reason"].copy()
+            reasons[unsure & (reasons == "")] = UNSURE
+            info = {**info, "reason": reasons}
         penalty = self.weight * error.astype(np.float32)
         return observation, reward - self._like(reward, penalty), terminated, truncated, info
 

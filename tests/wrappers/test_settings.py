@@ -168,7 +168,9 @@ def test_a_batch_ends_where_its_model_is_unsure_and_a_restart_costs_nothing(rand
     assert info["reason"][row] == "unsure" and info["reason"][1 - row] == ""
     _, reward, _, truncated, info = cautious.step(actions[number + 1])
     assert reward[row] == 0.0 and not truncated[row] and info["reason"][row] == ""
-    with pytest.raises(PwmGymError, match="autoreset_mode is 'SameStep'; ending episodes needs 'NextStep'"):
+    torched = gym.wrappers.vector.NumpyToTorch(cautious)
+    assert {*torched.step(torch.as_tensor(actions[0]))[-1]["reason"].tolist()} <= {"", "unsure"}
+    with pytest.raises(PwmGymError, match="limit=0.1 with autoreset_mode 'SameStep'; expected 'NextStep' or"):
         vector.UncertaintyPenalty(gym.make_vec("pwm/PickCube-v0", num_envs=2, autoreset_mode="SameStep"), 1.0, 0.1)
 
 

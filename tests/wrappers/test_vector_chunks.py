@@ -135,19 +135,3 @@ def test_chunks_that_cannot_be(make, chunks):
     with pytest.raises(PwmGymError, match=r"mask is bool \(2,\); expected a boolean array \(3,\)"):
         envs.unwrapped.hold(np.zeros(2, bool))
     assert (envs.step(chunks[0])[-1]["chunk"]["steps"] == LENGTH).all()
-
-
-def test_what_is_held_stands_still_and_goes_on_later():
-    envs = gym.make_vec("pwm/MugCleanup-v0", 2)
-    envs.reset(seed=0)
-    base = envs.unwrapped
-    scene = base.scene(0)
-    base.hold(np.array([True, False]))
-    for k in range(3):
-        _, reward, *_ = envs.step(np.random.default_rng(k).uniform(-1, 1, (2, 7)).astype(np.float32))
-        assert reward[0] == 0.0 and reward[1] != 0.0
-    np.testing.assert_array_equal(base.scene(0).poses, scene.poses)
-    assert np.abs(base.scene(1).poses[0] - base.scene(1).poses[1]).max() > 1e-4
-    base.hold(np.zeros(2, bool))
-    envs.step(np.ones((2, 7), np.float32))
-    assert np.abs(base.scene(0).poses[0] - scene.poses[0]).max() > 1e-4
