@@ -18,10 +18,17 @@ _PLAYER = """```{{raw}} html
 <video class="player" controls muted loop playsinline preload="metadata" src="../_static/players/{name}.mp4"></video>
 ```
 
-Planned in the model and executed in the simulator: `pwm-gym plan --task {name} --episodes 1 --save runs/plans`, then
-`pwm-gym view` with `--mp4`, or with `--html` for the same in 3D. Teal is what the model predicted, purple what
-happened.
+Planned in the model and executed in the simulator:
+`pwm-gym plan --task {name} --episodes 1{options} --save runs/plans`, then `pwm-gym view` with `--mp4`, or with `--html` for the same in 3D. Teal is what the model predicted, purple what
+happened.{end}
 """
+_CLONED = " --planner mppi-fine --samples {samples} --guide runs/{name}-cloned"
+_OPTIONS = {
+    "AdroitHandDoor": _CLONED.format(samples=8, name="AdroitHandDoor"),
+    "AdroitHandRelocate": _CLONED.format(samples=32, name="AdroitHandRelocate") + " --offset 2",
+}
+_ENDS = {"AdroitHandDoor": " The door stays shut here: plans in the model do not open it yet."}
+"""How an episode was planned, and how it ended, where that is not as the other tasks'."""
 _ROLLOUT_HEAD = ["episodes", "Chamfer L1 (m)", "reward correlation", "objects at step 60 (mm)", "linear response (m)"]
 _MAKE = """```python
 import gymnasium as gym
@@ -61,7 +68,7 @@ def picture(name: str) -> str:
     """The task's film and still picture, where they are there."""
     parts = []
     if (PLAYERS / f"{name}.mp4").exists():
-        parts.append(_PLAYER.format(name=name))
+        parts.append(_PLAYER.format(name=name, options=_OPTIONS.get(name, ""), end=_ENDS.get(name, "")))
     if (IMAGES / f"{name}.png").exists():
         parts.append(f"![A rollout of {name}: predicted (teal) over true (purple)](../images/{name}.png)\n")
     return "\n".join(parts)
