@@ -19,7 +19,8 @@ _PLAYER = """```{{raw}} html
 ```
 
 Planned in the model and executed in the simulator:
-`pwm-gym plan --task {name} --episodes 1{options} --save runs/plans`, then `pwm-gym view` with `--mp4`, or with `--html` for the same in 3D. Teal is what the model predicted, purple what
+`pwm-gym plan --task {name} --episodes 1{options} --save runs/plans`,
+then `pwm-gym view` with `--mp4`, or with `--html` for the same in 3D. Teal is what the model predicted, purple what
 happened.{end}
 """
 _CLONED = " --planner mppi-fine --samples {samples} --guide runs/{name}-cloned"
