@@ -37,6 +37,12 @@ _RANKED = {
     "StackCube": "rank_stack_cube",
     "StackCube, in a model that saw the agents' episodes": "rank_stack_cube_agents",
 }
+_CLONES = """The agents trained by reinforcement learning are those above and their snapshots; the others are made by
+
+```
+{commands}
+```
+"""
 _SEEN = """The model was trained further on 600 episodes of four of the agents in the simulator, from other seeds than
 the ranking's; it goes on from the one above in which the last agent learned:
 
@@ -52,6 +58,23 @@ pwm-gym train --data data-sets/StackCube data-sets/StackCube-practice data-sets/
     --learning-rate 0.001 --arm-steps 0 --error-steps 0 --phases 1 200 256 5 400 192 15 350 128
 ```
 """
+_MADE = {
+    "rank_pick_cube": _CLONES.format(
+        commands="""pwm-gym collect --task PickCube --episodes 200 --held-out 4 --practice 0 --randomise 0
+pwm-gym train-agent --task PickCube --threads 1 --episodes 0 --phases 1 3000 256 --out runs/PickCube-cloned
+pwm-gym train-agent --task PickCube --threads 1 --episodes 0 --phases 1 1500 256 --demonstrations 20 \\
+    --out runs/PickCube-cloned-20
+pwm-gym train-agent --task PickCube --algo sac --agent.steps 2000000 --agent.minutes 11 --agent.discount 0.8 \\
+    --agent.points 120 --agent.scenes 1000 --agent.snapshot-every 20000 --agent.threads 1 \\
+    --out runs/PickCube-sac --episodes 0"""
+    ),
+    "rank_stack_cube": _CLONES.format(
+        commands="""pwm-gym train-agent --task StackCube --threads 1 --episodes 0 --phases 1 3000 256 \\
+    --out runs/StackCube-cloned"""
+    ),
+    "rank_stack_cube_agents": _SEEN,
+}
+"""How a ranking's model or its policies were made, where nothing above on the page tells it."""
 
 
 def learned() -> str:
@@ -145,8 +168,7 @@ def _ranking(task: str, name: str, result: dict[str, Any]) -> str:
         for row in sorted(result["rows"], key=lambda row: row["simulator"])
     ]
     table = grid(["policy", "success in the model", "in the simulator", "its training"], rows)
-    made = f"\n{_SEEN}" if name == "rank_stack_cube_agents" else ""
-    return f"## Ranking of policies: {task}\n\n{source(name, result)}\n{about}{made}{shown}\n{table}"
+    return f"## Ranking of policies: {task}\n\n{source(name, result)}\n{about}\n{_MADE[name]}{shown}\n{table}"
 
 
 def _measures(table: dict[str, Any]) -> str:
