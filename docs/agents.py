@@ -37,7 +37,7 @@ _RANKED = {
     "StackCube": "rank_stack_cube",
     "StackCube, in a model that saw the agents' episodes": "rank_stack_cube_agents",
 }
-_CLONES = """The agents trained by reinforcement learning are those above and their snapshots; the others are made by
+_OTHERS = """PPO's agents are those above and their snapshots; the other trained ones are made by
 
 ```
 {commands}
@@ -59,7 +59,7 @@ pwm-gym train --data data-sets/StackCube data-sets/StackCube-practice data-sets/
 ```
 """
 _MADE = {
-    "rank_pick_cube": _CLONES.format(
+    "rank_pick_cube": _OTHERS.format(
         commands="""pwm-gym collect --task PickCube --episodes 200 --held-out 4 --practice 0 --randomise 0
 pwm-gym train-agent --task PickCube --threads 1 --episodes 0 --phases 1 3000 256 --out runs/PickCube-cloned
 pwm-gym train-agent --task PickCube --threads 1 --episodes 0 --phases 1 1500 256 --demonstrations 20 \\
@@ -68,7 +68,7 @@ pwm-gym train-agent --task PickCube --algo sac --agent.steps 2000000 --agent.min
     --agent.points 120 --agent.scenes 1000 --agent.snapshot-every 20000 --agent.threads 1 \\
     --out runs/PickCube-sac --episodes 0"""
     ),
-    "rank_stack_cube": _CLONES.format(
+    "rank_stack_cube": _OTHERS.format(
         commands="""pwm-gym train-agent --task StackCube --threads 1 --episodes 0 --phases 1 3000 256 \\
     --out runs/StackCube-cloned"""
     ),

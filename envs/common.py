@@ -24,7 +24,9 @@ __all__ = [
     "Observation",
     "Rules",
     "action_space",
+    "bounded",
     "check_actions",
+    "check_mask",
     "check_options",
     "check_render_mode",
     "first_entities",
@@ -116,6 +118,23 @@ def outside(state: State) -> Tensor:
     places = state.frames[..., 0, :, :3, 3] if isinstance(state, RigidState) else state.points()
     far = places.abs().flatten(1).amax(1) > BOUND  # NaN is not
     return ~finite | far
+
+
+def bounded(state: State) -> State:
+    """The state with finite values where a prediction left the bounds, so that the returned ones can be clipped."""
+    return state.map(lambda x: torch.nan_to_num(x).clamp(-1e3, 1e3))
+
+
+def check_mask(name: str, mask: Any, count: int) -> np.ndarray:
+    """A mask of environments (count,) bool.
+
+    Raises:
+        PwmGymError: it is none, naming it.
+    """
+    if not isinstance(mask, np.ndarray) or mask.dtype != np.bool_ or mask.shape != (count,):
+        found = f"{mask.dtype} {mask.shape}" if isinstance(mask, np.ndarray) else type(mask).__name__
+        raise PwmGymError(f"{name} is {found}; expected a boolean array ({count},)")
+    return mask
 
 
 def check_actions(actions: Any, shape: tuple[int, ...]) -> Tensor:

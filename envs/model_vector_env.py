@@ -22,7 +22,9 @@ from pwm_gym.envs.common import (
     Judgement,
     Rules,
     action_space,
+    bounded,
     check_actions,
+    check_mask,
     check_options,
     check_render_mode,
     first_entities,
@@ -31,8 +33,8 @@ from pwm_gym.envs.common import (
     seeds_of,
     with_rows,
 )
+from pwm_gym.envs.infos import vector_infos
 from pwm_gym.envs.rendering import SceneRenderer, picture_camera
-from pwm_gym.envs.texts import text_array
 from pwm_gym.errors import PwmGymError, SceneError, check_whole, look_up
 from pwm_gym.scene import Entity, RigidState, Scene, State, batch_state
 from pwm_gym.scene.se3 import pose7_from_matrix
@@ -237,18 +239,11 @@ class ModelVectorEnv(EzPickle, gym.vector.VectorEnv[dict[str, np.ndarray], np.nd
     def _reset_mask(self, mask: Any) -> np.ndarray:
         if mask is None:
             return np.ones(self.num_envs, bool)
-        mask = self._mask("reset_mask", mask)
+        mask = check_mask("reset_mask", mask, self.num_envs)
         if not mask.any():
             raise PwmGymError("reset_mask selects no environment")
         if self._state is None and not mask.all():
             raise PwmGymError("the first reset must reset every environment; reset_mask leaves some out")
-        return mask
-
-    def _mask(self, name: str, mask: Any) -> np.ndarray:
-        """A mask of environments that was given, or an error that names it."""
-        if not isinstance(mask, np.ndarray) or mask.dtype != np.bool_ or mask.shape != (self.num_envs,):
-            found = f"{mask.dtype} {mask.shape}" if isinstance(mask, np.ndarray) else type(mask).__name__
-            raise PwmGymError(f"{name} is {found}; expected a boolean array ({self.num_envs},)")
         return mask
 
     def _scenes(self, scene: Scene | Sequence[Scene] | None, mask: np.ndarray) -> list[Scene]:
@@ -317,7 +312,7 @@ class ModelVectorEnv(EzPickle, gym.vector.VectorEnv[dict[str, np.ndarray], np.nd
         self._advance(action)
         escaped = outside(self.state)
         if escaped.any():
-            self._freeze(escaped)
+            self._state = bounded(self.state)
         if restarted.any():
             self._restart(restarted, self._scenes(None, restarted))
         judgement = self._judge()
@@ -339,7 +334,7 @@ class ModelVectorEnv(EzPickle, gym.vector.VectorEnv[dict[str, np.ndarray], np.nd
         They neither move nor restart, their reward is 0, and they are not told to end again. A reset lets go of what it
         resets.
         """
-        self._held = self._mask("mask", mask).copy()
+        self._held = check_mask("mask", mask, self.num_envs).copy()
 
     def set_cost(self, cost: str | Callable[..., Tensor] | None) -> None:
         """Reward by another cost from now on, a registered or a callable one; stages begin anew."""
@@ -360,18 +355,14 @@ class ModelVectorEnv(EzPickle, gym.vector.VectorEnv[dict[str, np.ndarray], np.nd
         """
         if self.autoreset_mode is AutoresetMode.SAME_STEP:
             raise PwmGymError("autoreset_mode is 'SameStep'; ending episodes needs 'NextStep' or 'Disabled'")
-        self._done |= self._mask("mask", mask)
+        self._done |= check_mask("mask", mask, self.num_envs)
 
     def resume(self) -> None:
         """Go on after an episode's end, as Gymnasium's single environments may."""
         self._done[:] = False
 
-    def _freeze(self, escaped: Tensor) -> None:
-        """Where a prediction left the bounds, keep finite values so that the returned ones can be clipped."""
-        assert self._state is not None
-        self._state = self._state.map(lambda x: torch.nan_to_num(x).clamp(-1e3, 1e3))
-
     def _judge(self) -> Judgement:
+        """Judge the present state; what is held keeps its stage."""
         judgement = self.rules.judge(self.state, self._action, self._goal, self._stage)
         stage, before = judgement.stage, self._stage
         if stage is not None and before is not None and self._held.any():
@@ -416,25 +407,10 @@ class ModelVectorEnv(EzPickle, gym.vector.VectorEnv[dict[str, np.ndarray], np.nd
         return value if self._tensors else value.cpu().numpy()
 
     def _info(self, judgement: Judgement, reasons: list[str]) -> dict[str, Any]:
-        """Gymnasium's vector infos: arrays (num_envs,), each with its mask ``_key``."""
-        every = np.ones(self.num_envs, bool)
-
-        def arrays(values: dict[str, Any]) -> dict[str, Any]:
-            out = {k: v.cpu().numpy().copy() if isinstance(v, Tensor) else v for k, v in values.items()}
-            return {**out, **{f"_{k}": every.copy() for k in values}}
-
-        known = {
-            "success": judgement.success,
-            "grasped": judgement.grasped,
-            "cost_terms": arrays(judgement.terms),
-            "reason": text_array(reasons),
-        }
-        if judgement.stage is not None:
-            known["stage"] = text_array(self.rules.stage_names)[judgement.stage.cpu().numpy()]
+        """Gymnasium's vector infos of the present state."""
         error = expected_error(self.state)
-        if error is not None:
-            known["expected_error"] = arrays(dict(zip(self.state.layout.names, error.unbind(-1), strict=True)))
-        return arrays(known)
+        errors = None if error is None else dict(zip(self.state.layout.names, error.unbind(-1), strict=True))
+        return vector_infos(judgement, reasons, self.rules.stage_names, errors)
 
     def render(self) -> tuple[np.ndarray, ...] | None:
         """A picture (H, W, 3) uint8 of each environment, with ``render_mode="rgb_array"``."""

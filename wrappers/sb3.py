@@ -54,7 +54,7 @@ class SB3VecEnv(VecEnv):
         return [None if seed is None else seed + i for i in range(self.num_envs)]
 
     def step_async(self, actions: np.ndarray) -> None:
-        """Actions (num_envs, ...) of the next :meth:`step_wait`."""
+        """Actions (num_envs, A), or chunks (num_envs, length, A), of the next :meth:`step_wait`."""
         self._actions = np.asarray(actions, np.float32)
 
     def step_wait(self) -> tuple[Any, np.ndarray, np.ndarray, list[dict[str, Any]]]:

@@ -67,7 +67,7 @@ class ActionChunk(gym.vector.VectorWrapper):
             for k in range(self.length):
                 self._batch.hold(~going)
                 observation, reward, *ended, info = self.env.step(chunks[:, k])
-                told = (observation, info) if told is None else _chosen(going, (observation, info), told)
+                told = (observation, info) if going.all() or told is None else _chosen(going, (observation, info), told)
                 rewards.append(_chosen(going, reward, 0.0 * reward))
                 ends |= ended
                 steps += going & ~restarting

@@ -150,9 +150,10 @@ def test_a_cost_model_names_what_does_not_fit(flat, states):
 
 def test_stable_worldmodels_solver_descends_it(env, scene):
     try:
-        solvers = importlib.import_module("stable_worldmodel.solver")
-    except (ImportError, RuntimeError) as error:  # a torchvision that is not built for this torch is a RuntimeError
-        pytest.skip(f"stable-worldmodel cannot be imported: {error}")
+        importlib.import_module("torchvision")
+    except (ImportError, RuntimeError) as error:  # one that is not built for this torch is a RuntimeError
+        pytest.skip(f"stable-worldmodel needs a torchvision that fits torch: {error}")
+    solvers = pytest.importorskip("stable_worldmodel.solver", exc_type=ImportError)
     from stable_worldmodel.policy import PlanConfig
 
     flat = FlatModel(env.unwrapped.model, scene, high)

@@ -2,29 +2,25 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import gymnasium as gym
 import numpy as np
 import pytest
 import torch
+from batches import LIMIT, late
+from gymnasium.wrappers.vector import NumpyToTorch
 
 from pwm_gym.errors import PwmGymError
-from pwm_gym.wrappers import ActionChunk, vector
+from pwm_gym.wrappers import ActionChunk, SB3VecEnv, vector
 
-LENGTH, LIMIT = 4, 6  # the second chunk ends after two of its actions
+LENGTH = 4  # the second chunk ends after two of its actions
+HELD = np.array([True, False])
 
 
 @pytest.fixture
-def make():
-    made = []
-
-    def make(mode="NextStep", num_envs=3, **settings):
-        envs = gym.make_vec("pwm/PickCube-v0", num_envs, autoreset_mode=mode, max_episode_steps=LIMIT, **settings)
-        made.append(envs)
-        return envs
-
-    yield make
-    for envs in made:
-        envs.close()
+def make(make_batch):
+    return partial(make_batch, num_envs=3)
 
 
 @pytest.fixture
@@ -135,3 +131,78 @@ def test_chunks_that_cannot_be(make, chunks):
     with pytest.raises(PwmGymError, match=r"mask is bool \(2,\); expected a boolean array \(3,\)"):
         envs.unwrapped.hold(np.zeros(2, bool))
     assert (envs.step(chunks[0])[-1]["chunk"]["steps"] == LENGTH).all()
+
+
+def chunk(actions, first=0):
+    """Chunks (2, LENGTH, 7) of the actions from ``first`` on."""
+    return actions[first : first + LENGTH].swapaxes(0, 1)
+
+
+@pytest.mark.parametrize("tensors", [False, True])
+def test_rows_of_a_chunk_end_at_different_actions(make_batch, actions, tensors):
+    plain, chunked = make_batch(tensors=tensors), vector.ActionChunk(make_batch(tensors=tensors), LENGTH)
+    late(plain)
+    late(chunked)
+    steps = [plain.step(actions[k]) for k in range(LENGTH)]  # its first environment restarts after two
+    observation, reward, terminated, truncated, info = chunked.step(chunk(actions))
+    assert truncated.tolist() == [True, False] and not terminated.any()
+    assert info["chunk"]["steps"].tolist() == [2, 4] and info["reason"].tolist() == ["time limit", ""]
+    for row, last in ((0, 1), (1, 3)):
+        np.testing.assert_array_equal(observation["points"][row], steps[last][0]["points"][row])
+        np.testing.assert_array_equal(observation["goal"][row], steps[last][0]["goal"][row])
+        assert float(reward[row]) == pytest.approx(sum(float(s[1][row]) for s in steps[: last + 1]), abs=1e-6)
+        told = info["expected_error"]["hand"][row]
+        assert told == steps[last][-1]["expected_error"]["hand"][row]
+    assert chunked.unwrapped._elapsed.tolist() == [LIMIT, LENGTH] and not chunked.unwrapped.held.any()
+    observation, reward, *_, info = chunked.step(chunk(actions, LENGTH))
+    assert info["chunk"]["steps"].tolist() == [0, 2] and float(reward[0]) == 0.0
+    np.testing.assert_array_equal(observation["points"][0], steps[2][0]["points"][0])  # the restart's
+
+
+def test_rows_that_restart_at_once_within_a_chunk_wait(make_batch, actions):
+    plain, chunked = make_batch("SameStep"), vector.ActionChunk(make_batch("SameStep"), LENGTH)
+    late(plain)
+    late(chunked)
+    steps = [plain.step(actions[k]) for k in range(LENGTH)]
+    observation, _, _, truncated, info = chunked.step(chunk(actions))
+    assert truncated.tolist() == [True, False] and info["_final_obs"].tolist() == [True, False]
+    ended = steps[1][-1]
+    np.testing.assert_array_equal(info["final_obs"]["points"][0], ended["final_obs"]["points"][0])
+    assert info["final_info"]["reason"][0] == "time limit" and info["reason"].tolist() == ["", ""]
+    np.testing.assert_array_equal(observation["points"][0], steps[1][0]["points"][0])
+    np.testing.assert_array_equal(observation["points"][1], steps[3][0]["points"][1])
+    assert chunked.unwrapped._elapsed.tolist() == [0, LENGTH]
+
+
+def test_a_chunk_heeds_who_is_held_already(make_batch, actions):
+    envs = vector.ActionChunk(make_batch(), LENGTH)
+    base = envs.unwrapped
+    before = base.scene(0)
+    base.hold(HELD)
+    *_, info = envs.step(chunk(actions))
+    assert info["chunk"]["steps"].tolist() == [0, LENGTH] and base.held.tolist() == HELD.tolist()
+    np.testing.assert_array_equal(base.scene(0).poses, before.poses)
+
+
+def test_chunks_of_chunks(make_batch, actions):
+    one, two = vector.ActionChunk(make_batch(), LENGTH), vector.ActionChunk(vector.ActionChunk(make_batch(), 2), 2)
+    late(one)
+    late(two)
+    flat = one.step(chunk(actions))
+    nested = two.step(chunk(actions).reshape(2, 2, 2, 7))
+    np.testing.assert_array_equal(flat[0]["points"], nested[0]["points"])
+    np.testing.assert_allclose(flat[1], nested[1], atol=1e-6)
+    assert flat[3].tolist() == nested[3].tolist() and two.unwrapped.done.tolist() == [True, False]
+
+
+def test_texts_of_a_chunk_and_stable_baselines_take_it(make_batch, actions):
+    envs = NumpyToTorch(vector.ActionChunk(make_batch(), LENGTH))
+    late(envs)
+    info = envs.step(torch.as_tensor(chunk(actions).copy()))[-1]
+    assert info["reason"].tolist() == ["time limit", ""]
+    chunks = SB3VecEnv(vector.ActionChunk(make_batch("SameStep"), LENGTH))
+    assert chunks.action_space.shape == (LENGTH, 7)
+    chunks.reset()
+    observation, reward, done, _ = chunks.step(chunk(actions))
+    assert observation.shape == (2, *chunks.observation_space.shape)
+    assert reward.shape == done.shape == (2,)
